@@ -186,5 +186,5 @@ def test_a_pose_is_no_rival_of_itself(make_scout, clean_scans, monkeypatch):
         return ends[0], 1.0
 
     scout._refit.with_other_limbs, scout._to_the_end, scout._bends = two_poses, to_one_pose, None
-    found = scout._look(clean_scans[0].points, None)
+    found = scout(clean_scans[0].points, once=True)
     assert len(ends) == 2 and found.rivals == ()

@@ -91,27 +91,50 @@ def test_doubt_is_worth_a_second_look(make_scout, clean_scans, effort, p, looks,
 
     def look(self, points, x_weights):
         seen.append(known[self.effort])
-        return SimpleNamespace(value=next(values), effort=self.effort, frame=SimpleNamespace(unit=1.0))
+        return [Runner(self.effort, self.model.rest(), Frame(np.zeros(3), 1.0), next(values))]
 
     monkeypatch.setattr(Scout, "_look", look)
+    monkeypatch.setattr(Scout, "_seen", lambda self, runner: None)
     monkeypatch.setattr(Scout, "probability", lambda self, found: p)
     scout = make_scout(settings=FitSettings(effort=effort))
-    assert known[scout(clean_scans[0].points).effort] == looks[-1] and seen == looks
+    assert known[scout(clean_scans[0].points).problem] == looks[-1] and seen == looks
     seen.clear()
     values = iter([2.0, 1.0])
     make_scout("aligned", FitSettings(effort=effort))(clean_scans[0].points)
     assert seen == (looks if effort == "balanced" else looks[:1])  # nothing is open that a second look could find
     values = iter([1.0, 2.0])  # a second look that finds nothing better changes nothing
-    assert known[scout(clean_scans[0].points).effort] == looks[0] and known[scout.effort] == effort
+    assert known[scout(clean_scans[0].points).problem] == looks[0] and known[scout.effort] == effort
 
 
 @pytest.mark.parametrize("unit, kept", [(0.9, "thorough"), (1.2, "balanced")])
 def test_looks_are_compared_in_the_scans_unit(tube_rig, unit, kept, monkeypatch):
     """The second leaves 0.8 of the first's unexplained, in units of its own."""
-    first, second = (SimpleNamespace(value=v, frame=SimpleNamespace(unit=u)) for v, u in ((1.0, 1.0), (0.8, unit)))
-    monkeypatch.setattr(Scout, "_look", lambda self, *scan: second if self.effort is EFFORTS["thorough"] else first)
+    assert _of_two_looks(tube_rig, [(1.0, 0.0)], [(0.8, 1.0)], unit, monkeypatch).problem is EFFORTS[kept]
+
+
+def test_what_both_looks_have_found_are_rivals(tube_rig, monkeypatch):
+    """Each of them once, as it leaves least, in the unit of the frame that is kept."""
+    first = [(4.0, 0.0), (16.0, 1.0), (17.0, 5.0)]
+    found = _of_two_looks(tube_rig, first, [(0.9, 2.0), (20.0, 3.0), (30.0, 1.0), (1.2, 0.0)], 2.0, monkeypatch)
+    assert (found.problem, found.value) == (EFFORTS["thorough"], 0.9)
+    assert found.rivals == pytest.approx((1.0, 4.0, 4.25, 20.0))
+    found = _of_two_looks(tube_rig, first, [(1.2, 2.0), (1.1, 1.0), (1.5, 0.0)], 2.0, monkeypatch)
+    assert (found.problem, found.value) == (EFFORTS["balanced"], 4.0)
+    assert found.rivals == pytest.approx((4.4, 4.8, 17.0))
+
+
+def _of_two_looks(rig, first, second, unit, monkeypatch):
+    """What a scout makes of two looks at poses so far apart that leave so much unexplained; the problem says which look."""
+
+    def look(self, *scan):
+        seen, own = (second, unit) if self.effort is EFFORTS["thorough"] else (first, 1.0)
+        rest, frame = self.model.rest(), Frame(np.zeros(3), own)
+        states = [rest.in_unit(own).replace(translation=np.array([apart / own, 0.0, 0.0])) for _, apart in seen]
+        return [Runner(self.effort, state, frame, value) for state, (value, _) in zip(states, seen, strict=True)]
+
+    monkeypatch.setattr(Scout, "_look", look)
     monkeypatch.setattr(Scout, "probability", lambda self, found: 0.0)
-    assert _untrained(tube_rig)(np.zeros((9, 3))) is {"thorough": second, "balanced": first}[kept]
+    return _untrained(rig)(np.zeros((9, 3)))
 
 
 @pytest.mark.parametrize(
@@ -123,7 +146,7 @@ def test_a_second_look_tries_any_side_where_no_axis_was_told(tube_rig, effort, o
 
     def look(self, *scan):
         seen.append(self.facing)
-        return SimpleNamespace(value=1.0, frame=SimpleNamespace(unit=1.0))
+        return [Runner(None, self.model.rest(), Frame(np.zeros(3), 1.0), 1.0)]
 
     monkeypatch.setattr(Scout, "_look", look)
     monkeypatch.setattr(Scout, "probability", lambda self, found: 0.0)
@@ -298,7 +321,7 @@ def test_what_the_finals_leave_unexplained_chooses(tube_rig, before, after, best
     runners = [Runner(problem, scout.model.rest().replace(translation=np.full(3, k)), frame, v) for k, v in enumerate(before)]
     left = iter(after)
     _only_finals(scout, runners, left, monkeypatch)
-    found = scout._look(problem.X, None)
+    found = scout(problem.X, once=True)
     assert found.value == min(after) and found.state.translation[0] == best and next(left, None) is None
     assert found.rivals == pytest.approx(rivals)
 
@@ -326,7 +349,7 @@ def test_other_bends_are_tried_of_the_best_one(tube_rig, effort, finals, tried, 
         return state.replace(theta=np.full((4, 3), 0.1)), 0.2
 
     monkeypatch.setattr(scout, "_bends", bends)
-    found = scout._look(problem.X, None)
+    found = scout(problem.X, once=True)
     best = 0.3 if finals == 2 else 0.8
     assert asked == ([(problem, finals - 1, best)] if tried else [])
     assert found.value == (0.2 if tried else best) and (found.state.theta == 0.1).all() == tried

@@ -130,18 +130,25 @@ class Scout:
         -------
         Found
         """
-        found = self._look(points, x_weights)
+        looked = self._look(points, x_weights)
+        found = self._found(*looked)
         again = None if once else EFFORTS.get(self.effort.again)
         if again and (again != self.effort or self.facing.open_up) and not self.is_sure(found):
             closer = copy(self)
             closer.effort = again
             if self.facing.open_up:  # not every scan has the rig's up axis
                 closer.facing = replace(self.facing, turns=any_side_up(self.facing.turns, self.facing.up))
-            # E goes by the square of the frame's unit.
-            found = min(found, closer._look(points, x_weights), key=lambda f: f.value * f.frame.unit**2)
+            (first, *others), worse = sorted((looked, closer._look(points, x_weights)), key=lambda look: _unexplained(look[0]))
+            first, *others = self._distinct([first, *sorted([*others, *worse], key=_unexplained)])
+            found = replace(found, rivals=_rivals(first, others)) if first is looked[0] else self._found(first, *others)
         return found
 
+    def _found(self, best, *others):
+        seen = None if self.segmenter is None else self._seen(best)
+        return Found(best.name, best.problem, best.state, seen, best.value, _rivals(best, others), self._free)
+
     def _look(self, points, x_weights):
+        """Runners of different poses, the best first."""
         effort, refit = self.effort, self._refit
         runners = refit.first_steps(self._runners(points, x_weights))
         runners = self._resized(runners, runners[0])
@@ -160,10 +167,7 @@ class Scout:
             finals[0] = replace(finals[0], state=state, value=value)
         others = [replace(r, value=r.value * helped) for r in near[len(close) :]]
         # With proportions, or other bends, two may have come to one pose, which is no rival of itself.
-        best, *others = self._resized(self._distinct([*finals, *others]), finals[0])
-        seen = None if self.segmenter is None else self._seen(best)
-        rivals = tuple(r.value for r in others)
-        return Found(best.name, best.problem, best.state, seen, best.value, rivals, self._free)
+        return self._resized(self._distinct([*finals, *others]), finals[0])
 
     def is_sure(self, found):
         """Whether what was found is likely to be right."""
@@ -254,3 +258,13 @@ class Scout:
 
     def _joints(self, runner):
         return runner.name.outside(self.model.deformed(runner.state).joints)
+
+
+def _unexplained(runner):
+    """What a runner leaves, whatever the unit of its frame, by whose square E goes."""
+    return runner.value * runner.name.unit**2
+
+
+def _rivals(best, others):
+    """What others leave unexplained, as the frame of the best has it."""
+    return tuple(r.value * (r.name.unit / best.name.unit) ** 2 for r in others)
