@@ -13,7 +13,7 @@ from .interrupts import passing_interrupts
 from .processes import Note, Unsent, Workers
 from .threads import one_thread
 
-__all__ = ["ProcessEnded", "as_they_may", "beside", "each", "processors"]
+__all__ = ["ProcessEnded", "as_they_may", "beside", "each", "processors", "startable"]
 
 
 class ProcessEnded(InputError):
@@ -38,6 +38,13 @@ def processors():
     return len(allotted(0)) if allotted else os.cpu_count() or 1
 
 
+def startable(jobs):
+    """How many of so many processes there can be: one, this one, where it is daemonic, as those of a ``multiprocessing.Pool``."""
+    import multiprocessing
+
+    return 1 if multiprocessing.current_process().daemon else jobs  # such a process may not start others
+
+
 def each(work, tasks, *, jobs=1, done=None, answered=None, failed=None):
     """[work(task) for task in tasks].
 
@@ -47,6 +54,7 @@ def each(work, tasks, *, jobs=1, done=None, answered=None, failed=None):
         Picklable where ``jobs`` is more than 1; its errors pass on.
     tasks : sequence
     jobs : int, default 1
+        As far as they are :func:`startable`.
     done : callable (share), optional
         Called after each task with the share done.
     answered : callable (k, answer), optional
@@ -64,7 +72,7 @@ def each(work, tasks, *, jobs=1, done=None, answered=None, failed=None):
     ProcessEnded
         A process was killed.
     """
-    tasks = list(tasks)
+    tasks, jobs = list(tasks), startable(jobs)
     done, answered = done or (lambda share: None), answered or (lambda k, answer: None)
     answers = {}
     if min(jobs, len(tasks)) <= 1:

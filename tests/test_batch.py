@@ -91,6 +91,14 @@ def test_finish_takes_the_place_of_the_result(plain_fitter, clouds):
         assert [o.result for o in outcomes] == [(0, 400, "ok"), (1, 400, "ok")]
 
 
+@pytest.mark.usefixtures("own_processes")
+@pytest.mark.parametrize("many", [fit_scans, each_scan])
+def test_a_process_that_may_not_start_others_fits_by_itself(plain_fitter, clouds, many, monkeypatch):
+    monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)  # as of a Pool
+    outcomes = many(plain_fitter, clouds[:2], n_jobs=2, finish=lambda index, scan, result: (index, result.status))
+    assert [o.result for o in outcomes] == [(0, "ok"), (1, "ok")], outcomes
+
+
 def test_a_result_that_is_not_finite_is_a_failure(plain_fitter, clouds, alone, monkeypatch):
     vertices = np.full_like(alone[0].result.vertices, np.nan)
     bad = replace(alone[0].result, vertices=vertices, status="failed", message="not finite")

@@ -1,13 +1,13 @@
 """Rows of the study beside each other: what waits for what, and that figures are those of rows one after the other."""
 
 import json
+import multiprocessing
 import os
 import re
 import signal
 import time
 import warnings
 from dataclasses import replace
-from multiprocessing import active_children
 
 import pytest
 from study_sizes import rows_are_hurried
@@ -205,6 +205,14 @@ def test_rows_that_learn_from_labels_have_first_fits_in_common(rigs, tmp_path, m
     assert not any(tmp_path.iterdir())
 
 
+def test_rows_are_not_made_at_once_where_no_process_can_be_started(rigs, monkeypatch):
+    asked = []
+    monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)  # as of a Pool
+    monkeypatch.setattr(run_module, "made", lambda *of, jobs, **how: asked.append(jobs) or [])
+    study(rigs, rows=_QUICK, seeds=[5], jobs=2)
+    assert asked == [1]
+
+
 @pytest.mark.usefixtures("own_processes")
 @pytest.mark.slow
 def test_a_run_that_is_stopped_goes_on(command, tmp_path, monkeypatch, capsys):
@@ -217,7 +225,7 @@ def test_a_run_that_is_stopped_goes_on(command, tmp_path, monkeypatch, capsys):
     with monkeypatch.context() as patch:
         patch.setattr("lbsfit_np.io.write.write_npz", stop)
         assert run([*command, ",".join(_QUICK)]) == 130
-    assert not active_children() and "run the same command to continue" in capsys.readouterr().out
+    assert not multiprocessing.active_children() and "run the same command to continue" in capsys.readouterr().out
     assert run([*command, ",".join(_QUICK)]) == 0
     assert list(json.loads((out / "results.json").read_text())["rigs"]["tube"]["seeds"]["5"]) == sorted(_QUICK)
     assert {path.name for path in (out / "cells").iterdir()} == {f"tube-5-{row}.npz" for row in _QUICK}
@@ -258,7 +266,7 @@ def test_what_goes_wrong_in_a_process_is_said_and_what_is_made_beside_it_is_kept
     (text,) = [str(warning.message) for warning in said]
     assert re.match(f"tube, seed 5, free-form-supervised failed: {words}", text)
     assert text.endswith("; no further rows are started; rows that other processes have begun are finished first")
-    assert not active_children() and there == ["free-form"]  # the two that weigh most came first
+    assert not multiprocessing.active_children() and there == ["free-form"]  # the two that weigh most came first
 
 
 @pytest.mark.usefixtures("patient", "own_processes")
@@ -278,7 +286,7 @@ def test_rows_that_were_made_as_a_run_is_stopped_are_kept(rigs, tmp_path, monkey
 
     with pytest.raises(KeyboardInterrupt):
         study(rigs, rows=_QUICK, seeds=[5], jobs=2, steps=lambda cell: tmp_path / cell, on_cell=on_cell)
-    assert there == ["free-form", "free-form-supervised"] and not active_children()
+    assert there == ["free-form", "free-form-supervised"] and not multiprocessing.active_children()
 
 
 @pytest.mark.parametrize("at_once_too, before", [(False, False), (False, True), (True, False)])

@@ -24,6 +24,7 @@ from worker_tasks import (
     kills_itself,
     makes_an_error_of_ctrl_c,
     not_3,
+    numbers_of_its_own_tasks,
     own_number,
     raises_two_words,
     squared,
@@ -47,6 +48,11 @@ def test_answers_come_in_the_order_of_the_tasks(jobs):
     assert each(squared, range(7), jobs=jobs, done=shares.append) == [0, 1, 4, 9, 16, 25, 36]
     np.testing.assert_allclose(shares, np.arange(1, 8) / 7)
     assert each(squared, [], jobs=jobs) == [] and each(squared, [3], jobs=jobs) == [9]
+
+
+def test_a_process_that_may_not_start_others_does_the_work_itself():
+    for own, numbers in each(numbers_of_its_own_tasks, range(2), jobs=2):
+        assert numbers == [own] * 3 and own != os.getpid()
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

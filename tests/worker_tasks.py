@@ -7,6 +7,7 @@ import time
 
 from lbsfit_np.errors import InputError
 from lbsfit_np.processes import tell
+from lbsfit_np.workers import each
 
 
 class TwoWords(Exception):
@@ -18,6 +19,10 @@ class TwoWords(Exception):
 
 def own_number(_):
     return os.getpid()
+
+
+def numbers_of_its_own_tasks(_):
+    return os.getpid(), each(own_number, range(3), jobs=2)
 
 
 def threads(_):

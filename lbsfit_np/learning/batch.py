@@ -14,7 +14,7 @@ from ..errors import InputError, LbsfitError, brief, in_words, is_whole
 from ..interrupts import passing_interrupts
 from ..processes import Unsent, Workers
 from ..scan import check_points
-from ..workers import ProcessEnded
+from ..workers import ProcessEnded, startable
 from .parameters import check_callables
 from .reading import as_scans
 from .subjects import as_subjects, known_subjects
@@ -63,9 +63,10 @@ def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=
     subjects : sequence of str, int or None, optional
         For a fitter that has learned: the subject of each scan, as for ``LBSFitter.fit_scan``; None where it is not known.
     n_jobs : int, default 1
-        Number of worker processes; with 1, everything happens in this process. Workers are started afresh ("spawn"), so a
-        script must call this function under ``if __name__ == "__main__":``. With an int as the fitter's ``random_state``,
-        results are the same to the last bit whatever ``n_jobs`` is.
+        Number of worker processes; with 1, and in a process that may not start others, such as one of a ``multiprocessing.Pool``,
+        everything happens in this process. Workers are started afresh ("spawn"), so a script must call this function under
+        ``if __name__ == "__main__":``. With an int as the fitter's ``random_state``, results are the same to the last bit
+        whatever ``n_jobs`` is.
     finish : callable (index, scan, result) → object, optional
         What to do with a fit in the process that made it, such as writing it to files. Its return value replaces the result
         in the outcome. With several jobs it must be picklable.
@@ -130,7 +131,8 @@ class _Batch:
         if not is_whole(n_jobs, 1):
             raise InputError("n_jobs", repr(n_jobs), "a positive whole number of worker processes")
         check_callables(finish=(finish, (("index", "scan", "result"),)), on_result=(on_result, (("outcome",),)))
-        self.scans, self.n_jobs, self.finish, self.on_result = as_scans(scans), int(n_jobs), finish, on_result
+        self.scans, self.n_jobs = as_scans(scans), startable(int(n_jobs))
+        self.finish, self.on_result = finish, on_result
         self.outcomes = {}
 
     def check_sent(self):

@@ -12,7 +12,7 @@ from ..rotations import matrix_from_rotvec
 from ..scan import some_rows
 from ..seeds import generator
 from ..threads import one_thread
-from ..workers import each, processors
+from ..workers import each, processors, startable
 from .context import CONTEXT_POINTS, context, context_size
 from .descriptors import Descriptor, within_reach
 from .stage import LARGEST, Stage, Training, in_half_precision, train_stage
@@ -319,8 +319,6 @@ def _describe_all(describe, start, stop, jobs, progress):
 
 def jobs_of(n_jobs, random_state):
     """The number of processes to use."""
-    import multiprocessing
-
     if n_jobs is None:
         return 1
     if not is_whole(n_jobs, -1) or n_jobs == 0:
@@ -328,9 +326,7 @@ def jobs_of(n_jobs, random_state):
         raise InputError("n_jobs", brief(n_jobs), expected)
     if isinstance(random_state, np.random.Generator):
         return 1  # copies of it in several processes would draw the same numbers for different scans
-    if multiprocessing.current_process().daemon:
-        return 1  # such a process may not start others
-    return int(n_jobs) if n_jobs > 0 else processors()
+    return startable(int(n_jobs) if n_jobs > 0 else processors())
 
 
 def _described(points, rows, descriptor, first=None):

@@ -7,6 +7,7 @@ from itertools import product
 from ...errors import InputError, did_you_mean
 from ...learning.checkpoint import remove_checkpoint, state_of_the_code
 from ...processes import kept_processes
+from ...workers import startable
 from ..resume import REMEDY, begun, check_same, checked_seeds, described, is_done
 from ..run import TRAINING_SEED
 from ..subjects import people_digest, scans_digest
@@ -128,6 +129,7 @@ def study(
     trained = {name for name, size in sizes.items() if first_scans(rigs[name], size) == size.training_scans}
     how = {"steps": steps, "progress": _of_all(todo, trained, progress)}
     plan = batches(todo, in_common=lambda *of: steps(first_fits_name(*of)) is not None)
+    jobs = startable(jobs)
     if jobs > 1 and is_faster(plan, jobs):
         made_at_once(plan, rigs, sizes, jobs=jobs, on_row=on_row, **how)
     else:
