@@ -1,5 +1,6 @@
 """The errors that users see: each says what was wrong, what came, what was expected, and what to do."""
 
+import inspect
 import warnings
 from difflib import get_close_matches
 
@@ -18,6 +19,7 @@ __all__ = [
     "brief",
     "check_angles",
     "check_array",
+    "check_callables",
     "check_real",
     "check_unmasked",
     "counted",
@@ -129,6 +131,29 @@ def check_angles(argument, value, shape):
         words = f"{argument}: got an angle of {most:.3g} rad, which is {most / (2 * np.pi):.0f} turns. Are these degrees?"
         warnings.warn(words, stacklevel=4)
     return a
+
+
+def check_callables(**given):
+    """Raise InputError unless each is None or can be called as it will be: late, when much would be lost.
+
+    Parameters
+    ----------
+    **given : (callable or None, tuple of tuples of str)
+        By its name, and the arguments that it is called with, in each way that it is.
+    """
+    for name, (value, ways) in given.items():
+        if value is not None and not callable(value):
+            raise InputError(name, brief(value), "a function, or None")
+        for arguments in ways if value is not None else ():
+            try:  # a decorator may add arguments to those of what it wraps
+                known = inspect.signature(value, follow_wrapped=False)
+            except (TypeError, ValueError):  # a function that does not tell, such as an extension's
+                continue
+            try:
+                known.bind(*arguments)
+            except TypeError as error:
+                expected = f"a function that can be called as {name}({', '.join(arguments)})"
+                raise InputError(name, f"one that takes other arguments ({error})", expected) from None
 
 
 def as_floats(argument, value, expected, remedy=None):

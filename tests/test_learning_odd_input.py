@@ -15,10 +15,10 @@ from sklearn.exceptions import NotFittedError
 from sklearn.utils.validation import check_is_fitted
 
 import lbsfit_np as lbs
-from lbsfit_np.errors import InputError
+from lbsfit_np.errors import InputError, check_callables
 from lbsfit_np.fitting.labels import labels_from_mesh
 from lbsfit_np.learning.batch import _without_results, fit_scans
-from lbsfit_np.learning.parameters import check_callables, learned_with
+from lbsfit_np.learning.parameters import learned_with
 from lbsfit_np.learning.reading import read_collection
 from lbsfit_np.learning.subjects import as_subjects, check_ids, known_subject
 from lbsfit_np.learning.training import training_settings

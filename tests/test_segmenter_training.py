@@ -1,15 +1,18 @@
 """The training of a segmenter: what it learns, by seed, in one process or in several."""
 
 import os
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 from segmenter_training import ONE, Scans, in_parts, scans_of, train_small
+from small_rigs import make_tube_data, seamed
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.learning.training import TrainingScans
+from lbsfit_np.rig.build import build_rig
 from lbsfit_np.segmentation.context import context
 from lbsfit_np.segmentation.descriptors import Descriptor
 from lbsfit_np.segmentation.segmenter import train_segmenter
@@ -226,11 +229,61 @@ def test_what_training_cannot_begin_with(tube_rig, small_segmenter):
             train_segmenter(tube_rig, pytest.fail, n)
     for rig, options, words in (
         (in_parts(ONE), {}, "a segmenter of 4 parts; expected one of the rig's 1"),
+        (replace(tube_rig, upper=1.1 * tube_rig.upper), {}, "a segmenter of another rig .*; expected one of rig 'tube'"),
         (tube_rig, {"training": Training(hidden=(7,))}, r"a segmenter with layers of \(.*; expected the training's \(7,\)"),
         (tube_rig, {"descriptor": Descriptor(voxel=0.1)}, "voxel=0.05.*; expected one with .*voxel=0.1"),
     ):
         with pytest.raises(InputError, match=f"start: got .*{words}"):
             train_segmenter(rig, pytest.fail, 4, start=small_segmenter, **options)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"rig": "hand"}, "rig: got 'hand'; expected a Rig. Read one with load_rig."),
+        ({"scan": None}, "scan: got None; expected a function i → (points, labels, scale)."),
+        ({"scan": [1, 2]}, "scan: got [1, 2]; expected a function"),
+        ({"scan": lambda: None}, "scan: got one that takes other arguments (too many positional arguments); expected a function"),
+        ({"training": {"epochs": 2}}, "training: got {'epochs': 2}; expected a Training, or None. Make one with Training(...)."),
+        ({"training": {}}, "training: got {}; expected a Training"),
+        ({"descriptor": {"voxel": 0.1}}, "descriptor: got {'voxel': 0.1}; expected a Descriptor, or None. Make one with Desc"),
+        ({"start": "a"}, "start: got 'a'; expected a Segmenter, or None. Read one with Segmenter.load."),
+        ({"progress": 3}, "progress: got 3; expected a function, or None."),
+        ({"progress": lambda: None}, "progress: got one that takes other arguments"),
+        ({"random_state": "a"}, "random_state: got 'a'; expected a non-negative integer"),
+    ],
+)
+def test_what_no_training_can_be_made_of(tube_rig, given, words):
+    with pytest.raises(InputError) as error:
+        train_segmenter(**{"rig": tube_rig, "scan": pytest.fail, "n_scans": 4} | given)
+    assert str(error.value).startswith(words)
+
+
+def test_both_stages_are_trained_further(tube_rig, small_segmenter):
+    """However few scans the second one's share is; unless it is to be left out."""
+    few = {"points_per_scan": 20, "epochs": 1}
+    for n, second, stages in ((2, 0.5, 2), (3, 0.1, 2), (1, 0.0, 1), (2, 0.0, 1)):
+        scans = scans_of(tube_rig, n)
+        training = Training(**few, second=second)
+        s = train_segmenter(tube_rig, scans, n, training=training, random_state=0, start=small_segmenter)
+        assert len(s.stages) == stages and scans.asked == list(range(n))
+        for stage, before in zip(s.stages, small_segmenter.stages):
+            np.testing.assert_array_equal(stage.mean, before.mean)
+    with pytest.raises(InputError, match="n_scans: got 1 with a start of two stages; expected at least 2"):
+        train_segmenter(tube_rig, pytest.fail, 1, random_state=0, start=small_segmenter)
+    one = replace(small_segmenter, stages=small_segmenter.stages[:1])
+    s = train_segmenter(tube_rig, scans_of(tube_rig, 1), 1, training=Training(**few), random_state=0, start=one)
+    assert len(s.stages) == 1  # as many as from nothing
+
+
+def test_a_segmenter_of_a_rig_with_seams_belongs_to_it(small_segmenter):
+    """Trained on the rig as it is, from nothing or further."""
+    rig = build_rig(seamed(make_tube_data(), [10, 100, 200]))
+    assert rig.welded is not rig
+    few = {"training": Training(points_per_scan=20, epochs=1), "random_state": 0}
+    s = train_segmenter(rig, scans_of(rig, 2), 2, **few)
+    s.check_rig(rig)
+    train_segmenter(rig, scans_of(rig, 2), 2, start=s, **few).check_rig(rig)
 
 
 def test_the_context_of_no_points_is_none():

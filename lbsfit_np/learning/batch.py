@@ -10,12 +10,11 @@ from functools import partial
 
 import numpy as np
 
-from ..errors import InputError, LbsfitError, brief, in_words, is_whole
+from ..errors import InputError, LbsfitError, brief, check_callables, in_words, is_whole
 from ..interrupts import passing_interrupts
 from ..processes import Unsent, Workers
 from ..scan import check_points
 from ..workers import ProcessEnded, startable
-from .parameters import check_callables
 from .reading import as_scans
 from .subjects import as_subjects, known_subjects
 from .variants import as_variant

@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 
-from ..errors import InputError, brief, is_whole
+from ..errors import InputError, brief, check_callables, is_whole
 from ..interrupts import held
 from ..optimize.model import Model
 from ..seeds import integer_seed
@@ -19,7 +19,7 @@ from .free_form import fit_free_form
 from .loop import Learned, Loop, LoopSettings
 from .made_with import as_fitted, as_learned
 from .new_scan import fit_new, scan_fit
-from .parameters import check_callables, check_learned, check_parameters, check_scan, check_segmenter, fit_settings, learned_with
+from .parameters import check_learned, check_parameters, check_scan, check_segmenter, fit_settings, learned_with
 from .pretraining import is_stale, pretrained, pretrained_from, still_given
 from .reading import as_scans, read_collection
 from .subjects import known_subject

@@ -1,6 +1,5 @@
 """What the parameters of an LBSFitter and of its fits may be, checked before any work."""
 
-import inspect
 from collections.abc import Mapping
 from numbers import Real
 
@@ -24,7 +23,6 @@ from .plain import plain
 from .variants import as_variant
 
 __all__ = [
-    "check_callables",
     "check_learned",
     "check_names",
     "check_parameters",
@@ -103,29 +101,6 @@ def _check_unit(unit, rig):
         got = f"{unit!r} with the rig {rig.name!r}, whose own unit is not known"
         remedy = "Give the rig's unit in a card ([rig] unit), before learning if it is a model's, or leave this argument out."
         raise InputError("unit", got, "a rig whose unit is known", remedy)
-
-
-def check_callables(**given):
-    """Raise InputError unless each is None or can be called as it will be: late, when much would be lost.
-
-    Parameters
-    ----------
-    **given : (callable or None, tuple of tuples of str)
-        By its name, and the arguments that it is called with, in each way that it is.
-    """
-    for name, (value, ways) in given.items():
-        if value is not None and not callable(value):
-            raise InputError(name, brief(value), "a function, or None")
-        for arguments in ways if value is not None else ():
-            try:  # a decorator may add arguments to those of what it wraps
-                known = inspect.signature(value, follow_wrapped=False)
-            except (TypeError, ValueError):  # a function that does not tell, such as an extension's
-                continue
-            try:
-                known.bind(*arguments)
-            except TypeError as error:
-                expected = f"a function that can be called as {name}({', '.join(arguments)})"
-                raise InputError(name, f"one that takes other arguments ({error})", expected) from None
 
 
 def check_segmenter(segmenter, rig):

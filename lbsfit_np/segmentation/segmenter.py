@@ -6,11 +6,12 @@ from numbers import Real
 
 import numpy as np
 
-from ..errors import FileError, InputError, as_array, brief, is_whole
+from ..errors import FileError, InputError, as_array, brief, check_callables, is_whole
 from ..losses.checks import as_float, check_set
+from ..rig.rig import Rig
 from ..rotations import matrix_from_rotvec
 from ..scan import some_rows
-from ..seeds import generator
+from ..seeds import check_random_state, generator
 from ..threads import one_thread
 from ..workers import each, processors, startable
 from .context import CONTEXT_POINTS, context, context_size
@@ -192,7 +193,7 @@ def train_segmenter(
     Parameters
     ----------
     rig : Rig
-        The welded rig.
+        Scans may be of it or of its ``welded``, to which s belongs.
     scan : callable
         i → (points, labels, scale) of scan i: points in the scan's unit, whole labels that index rig.parts, and scan units per
         rig unit. Points with label −1 are seen but not learned. It must be picklable if ``n_jobs`` asks for processes.
@@ -207,7 +208,7 @@ def train_segmenter(
     progress : callable, optional
         Called with the share done, in [0, 1].
     start : Segmenter, optional
-        Continue training from this segmenter (with its descriptor) instead of from nothing.
+        Continue training from this segmenter of the rig (with its descriptor) instead of from nothing.
 
     Returns
     -------
@@ -216,20 +217,19 @@ def train_segmenter(
     Raises
     ------
     InputError
-        ``n_scans``, ``n_jobs`` or what ``scan`` returns cannot be used, ``start`` has other parts or layers or another
-        descriptor, ``scan`` cannot be sent to processes, or one of these was killed.
+        An argument, or what ``scan`` returns, cannot be used; ``start`` is of another rig, or has other layers or another
+        descriptor, or has two stages where ``n_scans`` is 1; ``scan`` cannot be sent to processes, or one of these was killed.
     KeyboardInterrupt
         On Ctrl-C, once all processes have ended.
     """
-    jobs = jobs_of(n_jobs, random_state)
+    _check_given(rig, scan, n_scans, training, descriptor, random_state, progress, start)
+    rig, jobs = rig.welded, jobs_of(n_jobs, random_state)
     descriptor, training = descriptor or (start.descriptor if start else Descriptor()), training or Training()
     progress = progress or (lambda share: None)
     n_parts, half = len(rig.parts), rig.size / 2
-    if not is_whole(n_scans, 1):
-        raise InputError("n_scans", brief(n_scans), "a whole number of at least 1")
     if start is not None:
-        _check_start(start, n_parts, descriptor, training)
-    n_second = int(training.second * n_scans) if n_parts > 1 else 0
+        _check_start(start, rig, descriptor, training)
+    n_second = _scans_of_second(n_scans, n_parts, training, start)
     n_first = n_scans - n_second
     spans = [(0, n_first), (n_first, n_scans)] if n_second else [(0, n_first)]
     stages = ()
@@ -252,15 +252,46 @@ def train_segmenter(
     return Segmenter(stages, descriptor, n_parts, half, rig.digest, _TURN * min(1.0, root / _ROOT))
 
 
-def _check_start(start, n_parts, descriptor, training):
+def _check_given(rig, scan, n_scans, training, descriptor, random_state, progress, start):
+    """Raise InputError unless each argument of :func:`train_segmenter` is of its kind."""
+    if not isinstance(rig, Rig):
+        raise InputError("rig", brief(rig), "a Rig", "Read one with load_rig.")
+    if scan is None:
+        raise InputError("scan", "None", "a function i → (points, labels, scale)")
+    check_callables(scan=(scan, (("i",),)), progress=(progress, (("share",),)))
+    if not is_whole(n_scans, 1):
+        raise InputError("n_scans", brief(n_scans), "a whole number of at least 1")
+    kinds = {"training": (training, Training), "descriptor": (descriptor, Descriptor), "start": (start, Segmenter)}
+    for name, (value, kind) in kinds.items():
+        if value is not None and not isinstance(value, kind):
+            remedy = "Read one with Segmenter.load." if kind is Segmenter else f"Make one with {kind.__name__}(...)."
+            raise InputError(name, brief(value), f"a {kind.__name__}, or None", remedy)
+    check_random_state(random_state)
+
+
+def _check_start(start, rig, descriptor, training):
     """Raise InputError unless a segmenter is one that training can go on from."""
-    if start.n_parts != n_parts:
-        raise InputError("start", f"a segmenter of {start.n_parts} parts", f"one of the rig's {n_parts}")
+    if start.n_parts != len(rig.parts):
+        raise InputError("start", f"a segmenter of {start.n_parts} parts", f"one of the rig's {len(rig.parts)}")
+    if start.rig_digest != rig.digest:
+        got = "a segmenter of another rig (or of other parts or limits of this one)"
+        raise InputError("start", got, f"one of rig {rig.name!r}", "Leave it out to train from nothing.")
     if start.descriptor != descriptor:
         raise InputError("start", f"a segmenter with {start.descriptor}", f"one with {descriptor}")
     for stage in start.stages:
         if stage.hidden not in (None, tuple(training.hidden)):
             raise InputError("start", f"a segmenter with layers of {stage.hidden}", f"the training's {tuple(training.hidden)}")
+
+
+def _scans_of_second(n_scans, n_parts, training, start):
+    """How many of the scans the second stage learns from; one or more where both stages of ``start`` are trained further."""
+    n = int(training.second * n_scans) if n_parts > 1 else 0
+    if start is None or len(start.stages) == 1 or not training.second:
+        return n
+    if n_scans == 1:
+        remedy = "Give it more scans, or Training(second=0) to leave the second stage out."
+        raise InputError("n_scans", "1 with a start of two stages", "at least 2: each stage has scans of its own", remedy)
+    return max(n, 1)
 
 
 @dataclass(frozen=True)
