@@ -22,7 +22,7 @@ from ..synthesis import synthesize_one, uniform_poses
 from . import body, hand
 from .environment import environment
 from .measure import joint_error, label_accuracy, vertex_error
-from .resume import REMEDY, begun, check_same, checked_seeds, is_done, renewed, unforeseen
+from .resume import REMEDY, begun, check_same, checked_count, checked_seeds, is_done, renewed, unforeseen
 from .run import BENCHES, TRAINING_SEED
 from .subjects import files_digest, people_digest, scans_digest, subject
 from .templates import learned_templates, template_gap, templates_of
@@ -198,8 +198,8 @@ def learn_bench(
     from ..learning.pretraining import share_pretraining
 
     seeds = checked_seeds(seeds)
-    if n_scans < N_SUBJECTS:  # with fewer, none is left to judge labels on, nor one to learn from beside the one held out
-        raise InputError("n_scans", f"{n_scans}", f"at least {N_SUBJECTS}, one of each person")
+    # With fewer, none is left to judge labels on, nor one to learn from beside the one held out.
+    n_scans = checked_count("n_scans", n_scans, N_SUBJECTS, ", one of each person")
     if not variants or not set(variants) <= set(VARIANT_ROWS):
         raise InputError("variants", repr(variants), f"some of {', '.join(VARIANT_ROWS)}")
     collection(name, data, n_scans, seed=seeds[0])  # before the training, as there may be too few frames

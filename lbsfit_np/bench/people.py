@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, brief, is_whole
 from ..io.bvh import read_bvh
 from ..io.write import atomic_path, make_folder, write_json, write_mesh_ply, write_points_ply
 from ..rotations import matrix_from_rotvec, rotvec_from_matrix
@@ -18,6 +18,7 @@ from ..seeds import generator
 from ..synthesis import Synthesis, synthesize_one
 from .body import SHAPES, body_rig
 from .hand import hand_rig, natural_poses
+from .resume import checked_count
 from .retarget import bvh_thetas
 
 __all__ = ["OTHER_RIGS", "SCANS", "people_before", "people_files", "people_names", "people_scans", "write_people"]
@@ -68,10 +69,11 @@ def people_scans(kind, data, *, n_people=6, n_scans=5, seed):
     Raises
     ------
     InputError
-        Fewer than two people: nothing would be measured between them.
+        Fewer than two people: nothing would be measured between them; no number of scans.
     """
-    if n_people < 2:
-        raise InputError("people", str(n_people), "at least two people")
+    if not is_whole(n_people, 2):
+        raise InputError("people", brief(n_people), "a whole number of at least two people")
+    n_scans = checked_count("n_scans", n_scans)
     rig = hand_rig(data) if kind == "hand" else body_rig(data)
     person, pose = (_hands if kind == "hand" else _bodies)(rig, data)
     names, scans = iter(people_names(n_people, n_scans)), []

@@ -4,11 +4,11 @@ from collections.abc import Iterable
 from copy import deepcopy
 from itertools import count
 
-from ..errors import InputError, Unforeseen, is_whole
+from ..errors import InputError, Unforeseen, brief, is_whole
 from ..learning.checkpoint import digest_of
 
 __all__ = [
-    *("REMEDY", "begun", "check_same", "checked_seeds", "counted_by", "described"),
+    *("REMEDY", "begun", "check_same", "checked_count", "checked_seeds", "counted_by", "described"),
     *("in_order", "is_done", "renewed", "unforeseen"),
 ]
 
@@ -73,6 +73,17 @@ def checked_seeds(seeds):
     if not all(is_whole(s, 0) for s in given) or not 0 < len(set(given)) == len(given):
         raise InputError("seeds", repr(seeds), "one or more different numbers of at least 0")
     return [int(s) for s in given]
+
+
+def checked_count(argument, value, least=1, of=""):
+    """A number of scans or the like as an int; InputError about ``argument`` where it is none, or below ``least``.
+
+    ``of``: what the error says after the least.
+    """
+    if not is_whole(value, least):
+        number = "" if is_whole(value) else "a whole number of "
+        raise InputError(argument, brief(value), f"{number}at least {least}{of}")
+    return int(value)
 
 
 def counted_by(on_scan):

@@ -14,7 +14,18 @@ from ..seeds import generator
 from ..synthesis import Synthesis, natural_poses, synthesize_one
 from .environment import environment
 from .measure import joint_error, label_accuracy
-from .resume import begun, check_same, checked_seeds, counted_by, described, in_order, is_done, renewed, unforeseen
+from .resume import (
+    begun,
+    check_same,
+    checked_count,
+    checked_seeds,
+    counted_by,
+    described,
+    in_order,
+    is_done,
+    renewed,
+    unforeseen,
+)
 from .run import TRAINING_SEED
 from .subjects import scans_digest
 
@@ -90,7 +101,7 @@ def roundtrip(
     """
     from ..learning.fitter import LBSFitter
 
-    seeds = checked_seeds(seeds)
+    n_scans, seeds = checked_count("n_scans", n_scans), checked_seeds(seeds)
     rigs = {name: load_rig(name) for name in names}
     for name, rig in rigs.items():
         if not rig.poses:

@@ -11,7 +11,7 @@ from ..errors import FileError, InputError
 from ..scan import Scan
 from .environment import environment
 from .measure import joint_error, label_accuracy, recon, vertex_error
-from .resume import begun, check_same, checked_seeds, counted_by, described, is_done, renewed, unforeseen
+from .resume import begun, check_same, checked_count, checked_seeds, counted_by, described, is_done, renewed, unforeseen
 from .subjects import files_digest, scans_digest
 
 __all__ = ["BENCHES", "MEASURES", "ROWS", "TRAINING_SEED", "Bench", "run_bench", "with_segmenter"]
@@ -180,7 +180,7 @@ def run_bench(
     if not rows or not set(rows) <= set(ROWS):
         raise InputError("rows", repr(rows), f"some of {', '.join(ROWS)}")
     make_rig, make_scans, synthesis = bench.load()
-    n_scans = bench.n_scans if n_scans is None else n_scans
+    n_scans = bench.n_scans if n_scans is None else checked_count("n_scans", n_scans)
     rig = make_rig(data)
     # All scans face the rig's way.
     fitter = LBSFitter(rig, orientation="aligned", training_scans=training_scans, n_jobs=jobs, random_state=TRAINING_SEED)

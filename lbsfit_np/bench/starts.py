@@ -16,7 +16,7 @@ from .baseline import PlainChamfer
 from .conditions import CONDITIONS, SEEN, conditions_of, starts_scan
 from .environment import environment
 from .measure import joint_error
-from .resume import begun, check_same, described, is_done, renewed, unforeseen
+from .resume import begun, check_same, checked_count, described, is_done, renewed, unforeseen
 from .run import TRAINING_SEED
 
 __all__ = [
@@ -100,6 +100,7 @@ def starts_bench(
     """
     from ..learning.fitter import LBSFitter
 
+    n_scans = checked_count("n_scans", n_scans)
     rigs = {name: load_rig(name) for name in names}
     todo = _plan(rigs, rows, fits)
     settings = {"seed": seed, "scans_a_row": n_scans, "effort": effort, "training_scans": training_scans}
