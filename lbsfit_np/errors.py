@@ -24,6 +24,7 @@ __all__ = [
     "check_unmasked",
     "counted",
     "did_you_mean",
+    "from_digits",
     "in_words",
     "is_whole",
     "its_array",
@@ -198,6 +199,14 @@ def is_whole(value, least=None):
     """Whether a value is a whole number, Python's or NumPy's, and at least so large; True and False are none."""
     number = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
     return number and (least is None or value >= least)
+
+
+def from_digits(text):
+    """The whole number that a text of digits is; None where it is none, or has the thousands of digits that ``int`` refuses."""
+    try:
+        return int(text) if text.isdecimal() else None
+    except ValueError:
+        return None
 
 
 def check_unmasked(argument, value, *, rows="rows", remedy="Leave masked entries out, or fill them with numpy.ma.filled."):

@@ -195,6 +195,7 @@ def test_without_subjects_all_are_one(folder):
         ("scan,subject,name,vertex\ns0,a,t,1\ns0,b,u,2\n", ["'b' in line 3", "'a' above"]),
         ("scan,subject,name,vertex\ns0,a,t,1\ns0,a,t,2\ns1,a,t,1\n", ["'t' of s0.ply twice, in lines 2 and 3"]),
         ("scan,subject,name,vertex\ns0,a,t,-1\ns1,a,t,1\n", ["'-1' in line 2"]),
+        pytest.param(f"scan,name,vertex\ns0,t,1\ns1,t,{'1' * 5000}\n", ["…", "in line 3", "whole number"], id="long"),
         ("scan,subject,name,vertex\ns0,a,,1\ns1,a,t,1\n", ["no name in line 2"]),
         ("scan,subject,name,x,y,z\ns0,a,t,1,2,nan\ns1,a,t,1,1,1\n", ["1, 2, nan in line 2", "finite"]),
         ("scan,subject,registration\ns0,a,\ns1,a,x.ply\n", ["no registration in line 2"]),

@@ -118,6 +118,8 @@ LINE_OF = {text: HIERARCHY.splitlines().index(line) + 1 for text, line in (("han
         (lambda t: t.replace("    OFFSET 0.5 0 0\n", ""), "Left Arm without an OFFSET"),
         (lambda t: t.replace("JOINT Tail", "JOINT Hand"), "a second joint 'Hand' on line"),
         (lambda t: t.replace("JOINT Tail\n  {", "JOINT Tail"), "'OFFSET' on line 21; expected { after"),
+        (lambda t: t.replace("2 Yrotation Xrotation", "1" * 5000), f"… channels on line {LINE_OF['hand']}"),
+        (lambda t: t.replace("Frames: 4", f"Frames: {'1' * 5000}"), "… frames on line 31; expected a whole number"),
         (lambda t: t.replace("MOTION", "ROOT Other"), "a second ROOT on line 30"),
         (lambda t: t.replace("MOTION", "MOVES"), "'MOVES' on line 30; expected MOTION"),
         (lambda t: t.replace("Frames: 4", "Frames: many"), "'many' frames on line 31"),

@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from lbsfit_np.errors import InputError, brief, check_array, check_unmasked, counted, did_you_mean, in_words, listed
+from lbsfit_np.errors import InputError, brief, check_array, check_unmasked, counted, did_you_mean, from_digits, in_words, listed
 from lbsfit_np.losses.checks import check_set
 
 
@@ -75,6 +75,14 @@ def test_what_is_like_no_name_is_no_question(given):
 )
 def test_errors_in_words(error, words):
     assert in_words(error).rstrip(".") == words
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [("0", 0), ("012", 12), ("-1", None), ("+1", None), ("1.0", None), ("", None), pytest.param("1" * 5000, None, id="long")],
+)
+def test_numbers_of_digits(text, number):
+    assert from_digits(text) == number
 
 
 @pytest.mark.parametrize(

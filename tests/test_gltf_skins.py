@@ -107,6 +107,8 @@ def test_the_one_skin_in_use_needs_no_choice(tmp_path):
         ("leg", ("arm", "other"), ["skin", "'leg'", "'arm'", "'other'"]),
         (2, ("arm", "other"), ["skin", "2", "'arm'"]),
         (True, ("arm", "other"), ["skin", "True"]),
+        pytest.param("1" * 5000, ("arm", "other"), ["skin", "…", "'arm'"], id="long text"),
+        pytest.param(10**5000, ("arm", "other"), ["skin", "several thousand digits"], id="long number"),
         ("arm", ("arm", "arm"), ["the name of 2 skins", "index"]),
     ],
 )

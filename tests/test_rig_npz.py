@@ -206,6 +206,7 @@ BAD = {
     "one name less": ({"joint_names": np.array(["a", "b", "c"])}, "not a sparse matrix of shape|shape"),
     "a name of numbers": ({"name": np.arange(3)}, "'name' of type.*one text"),
     "broken JSON": ({"partitions": np.array("{")}, "'partitions'.*JSON"),
+    "a number too long for JSON": ({"partitions": np.array("1" * 5000)}, "'partitions'.*JSON"),
     "another JSON": ({"partitions": np.array(json.dumps({"p": ["root"]}))}, "'partitions' in another form"),
     "weights cut short": ({"weights_data": np.ones(3)}, "'weights' that is not a sparse matrix"),
     "weights of strange columns": (
@@ -340,7 +341,9 @@ def test_axes_along_bones_go_by_the_tails(tmp_path):
     np.testing.assert_allclose(other.frames[:, :, 1], along.frames[:, :, 1] * [-1, 1, 1], atol=1e-12)
 
 
-@pytest.mark.parametrize("shape", ["tal", 2, -1, 1.5j, "7", 0.9, True])
+@pytest.mark.parametrize(
+    "shape", ["tal", 2, -1, 1.5j, "7", 0.9, True, *(pytest.param(n, id="long") for n in ("1" * 5000, 10**5000))]
+)
 def test_unknown_shape_lists_the_names(tmp_path, shape):
     with pytest.raises(InputError, match=r"shape.*'slim', 'tall'.*0 to 1"):
         load_rig(body(tmp_path), shape=shape)

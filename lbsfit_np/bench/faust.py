@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from ..correspondence import transfer
-from ..errors import FileError, brief, counted, listed
+from ..errors import FileError, brief, counted, from_digits, listed
 from .pairs import KINDS, pairs_bench
 from .truth import PairScan, Registrations, read_registrations
 
@@ -239,9 +239,10 @@ def _pairs(path):
         if not line.strip():
             continue
         match = _PAIR.fullmatch(line)
-        if match is None:
+        pair = (None,) if match is None else tuple(map(from_digits, match.groups()))
+        if None in pair:
             raise FileError(str(path), f"{brief(line)} in line {k}", "pairs of scan numbers, such as 012_023")
-        pairs.append((int(match[1]), int(match[2])))
+        pairs.append(pair)
     if not pairs:
         raise FileError(str(path), "no pairs", "pairs of scan numbers, such as 012_023", "Remove the file to do without it.")
     return list(dict.fromkeys(pairs))  # each once: it has one file

@@ -5,7 +5,7 @@ import math
 from pathlib import Path
 from unicodedata import normalize
 
-from ..errors import FileError, brief, counted, did_you_mean, listed
+from ..errors import FileError, brief, counted, did_you_mean, from_digits, listed
 from .pair_fits import made_files
 from .truth import Landmarks, PairScan, Registrations, VertexOrder, read_registrations
 
@@ -263,9 +263,10 @@ def _landmarks(read):
 
 
 def _vertex(path, line, row):
-    if not row["vertex"].isdecimal():
+    vertex = from_digits(row["vertex"])
+    if vertex is None:
         raise FileError(str(path), f"the vertex {brief(row['vertex'])} in line {line}", "a whole number of at least 0")
-    return int(row["vertex"])
+    return vertex
 
 
 def _xyz(path, line, row):

@@ -4,6 +4,7 @@ import argparse
 from contextlib import nullcontext
 from dataclasses import replace
 
+from ..errors import brief, from_digits
 from ..io.write import without_empty
 from . import bench_faust, bench_pairs, bench_people
 from . import bench_runs as runs
@@ -286,10 +287,10 @@ def _add_options(bench, options, run):
 
 def _seeds(text):
     """The text itself, once it is known to be different whole numbers with commas between them."""
-    parts = text.split(",")
-    if not all(part.strip().isdecimal() for part in parts) or len({int(part) for part in parts}) < len(parts):
+    seeds = [from_digits(part.strip()) for part in text.split(",")]
+    if None in seeds or len(set(seeds)) < len(seeds):
         expected = "different whole numbers separated by commas, such as 100,101,102"
-        raise argparse.ArgumentTypeError(f"got {text!r}; expected {expected}")
+        raise argparse.ArgumentTypeError(f"got {brief(text)}; expected {expected}")
     return text
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileError
+from ..errors import FileError, brief, from_digits
 
 __all__ = ["Motion", "read_bvh"]
 
@@ -134,11 +134,12 @@ def _begin_joint(skeleton, words, parent):
 
 
 def _read_channels(words):
-    count = words.next("the number of channels")
-    if not count.isdecimal() or int(count) > 6:
-        raise words.wrong(f"{count!r} channels", "a number from 0 to 6")
+    said = words.next("the number of channels")
+    count = from_digits(said)
+    if count is None or count > 6:
+        raise words.wrong(f"{brief(said)} channels", "a number from 0 to 6")
     channels = []
-    for _ in range(int(count)):
+    for _ in range(count):
         channel = words.next("a channel")
         if channel.lower() not in _CHANNELS or channel.lower() in map(str.lower, channels):
             known = "Xposition Yposition Zposition Xrotation Yrotation Zrotation, each once"
@@ -201,10 +202,10 @@ def _read_motion(words, lines, n_channels):
     if words.word.lower() != "motion":
         raise words.wrong(repr(words.word), "MOTION")
     words.expect("Frames:")
-    n_frames = words.next("the number of frames")
-    if not n_frames.isdecimal():
-        raise words.wrong(f"{n_frames!r} frames", "a whole number")
-    n_frames = int(n_frames)
+    said = words.next("the number of frames")
+    n_frames = from_digits(said)
+    if n_frames is None:
+        raise words.wrong(f"{brief(said)} frames", "a whole number")
     words.expect("Frame")
     words.expect("Time:")
     line, frame_time = words.line, words.number("Frame Time:")

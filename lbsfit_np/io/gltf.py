@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError, is_whole, listed
+from ..errors import InputError, brief, from_digits, is_whole, listed
 from ..rig.data import RigData
 from ..rotations import rotvec_from_matrix
 from .gltf_buffers import open_gltf
@@ -168,14 +168,14 @@ def _skin_index(document, wanted, named, choices, skins):
             raise InputError("skin", f"{wanted!r}, the name of {len(matching)} skins", f"one of {choices}", "Give its index.")
         if matching:
             return matching[0]
-        if wanted.isdecimal() and int(wanted) in named:
-            return int(wanted)
+        if (number := from_digits(wanted)) in named:
+            return number
     elif is_whole(wanted) and int(wanted) in named:
         return int(wanted)
     unused = [document.name(s, f"skin {i}") for i, s in enumerate(skins) if i not in named]
     also = f" No mesh uses {listed([repr(u) for u in unused], 5)}." if unused else ""
     raise InputError(
-        "skin", repr(wanted), f"a skin that meshes of {document.path} use: {choices}", "Give its name or index." + also
+        "skin", brief(wanted), f"a skin that meshes of {document.path} use: {choices}", "Give its name or index." + also
     )
 
 

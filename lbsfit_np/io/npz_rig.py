@@ -55,7 +55,7 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from ..errors import FileError, InputError, likeliest, listed
+from ..errors import FileError, InputError, brief, from_digits, likeliest, listed
 from ..rig.chains import loose_joints
 from ..rig.data import RigData
 from ..rig.frames import frames_along
@@ -313,7 +313,8 @@ def _shape_row(file, shape, n):
     if isinstance(shape, str):
         if shape in names:
             return names.index(shape)
-        shape_as_number = int(shape) if shape.isdecimal() else -1  # from a command line everything is text
+        number = from_digits(shape)  # from a command line everything is text
+        shape_as_number = -1 if number is None else number
     else:
         try:
             shape_as_number = -1 if isinstance(shape, bool) else operator.index(shape)
@@ -323,7 +324,7 @@ def _shape_row(file, shape, n):
         known = ", ".join(map(repr, names)) if names else "none by name"
         remedy = likeliest(shape, names) if isinstance(shape, str) else None
         raise InputError(
-            "shape", repr(shape), f"one of the shapes of {file.path}: {known}, or a number from 0 to {n - 1}", remedy
+            "shape", brief(shape), f"one of the shapes of {file.path}: {known}, or a number from 0 to {n - 1}", remedy
         )
     return shape_as_number
 
@@ -393,7 +394,7 @@ class _Arrays:
     def json(self, key, kind):
         try:
             value = json.loads(self.text(key))
-        except (json.JSONDecodeError, RecursionError):
+        except (ValueError, RecursionError):  # ValueError: of JSON, of numbers of thousands of digits
             value = None
         if not isinstance(value, kind):
             raise FileError(self.path, f"{key!r} without the JSON that belongs there", "a file that save_rig wrote")
