@@ -195,6 +195,8 @@ def test_a_common_frame_keeps_the_scale():
     "options, words",
     [
         ({"view": "behind"}, "view: got 'behind'; expected one of front"),
+        *(({"view": view}, "view: got .*; expected one of front, .* or .azi") for view in (None, [], [[0], [1, 2]], (1, 2, 3))),
+        ({"view": (0, np.nan)}, "view: got .0, nan.; expected one of front"),
         ({"up": "y"}, "up"),
         ({"up": "+y", "forward": "-y"}, "forward"),
         ({"colors": np.zeros((5, 3))}, r"colors: got shape \(5, 3\)"),

@@ -131,6 +131,10 @@ def test_partitions(tube_rig):
     assert build_rig(make_tube_data(), parts="arm and fingers").parts == ("arm", "fingers")
     with pytest.raises(InputError, match="'toes'.*joints, arm and fingers"):
         build_rig(make_tube_data(), parts="toes")
+    for parts in (np.array(["joints", "toes"]), ["joints"]):
+        for use in (tube_rig.with_parts, lambda parts: build_rig(make_tube_data(), parts=parts)):
+            with pytest.raises(InputError, match="parts: got .*; expected one of joints, arm and fingers"):
+                use(parts)
 
 
 @pytest.mark.parametrize("built", [True, False])

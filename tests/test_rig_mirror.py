@@ -163,7 +163,7 @@ def test_mirrored_rigs_take_cards():
     assert load_rig("hand-left", card=card).parts == ("all", "thumb")
 
 
-@pytest.mark.parametrize("axis", ["w", 0, None])
+@pytest.mark.parametrize("axis", ["w", 0, None, np.array(["x", "y"])])
 def test_axis_is_one_of_three(tube_rig, axis):
     with pytest.raises(InputError, match="axis.*'x', 'y' or 'z'"):
         tube_rig.mirrored(axis=axis)

@@ -37,6 +37,7 @@ from lbsfit_np.segmentation.stage import Stage
         (np.eye(3), {"rows": [0.5]}, "rows: got float64"),
         (np.eye(3), {"views": 2}, "views: got 2; expected 4, or 1"),
         (np.eye(3), {"views": True}, "views: got True; expected 4, or 1"),
+        (np.eye(3), {"views": np.array([1, 4])}, r"views: got array\(\[1, 4\]\); expected 4, or 1"),
         (np.eye(3), {"rows": []}, r"rows: got .*shape \(0,\)"),
     ],
 )

@@ -310,6 +310,8 @@ def test_skinning_leaves_its_arguments_alone(tube_rig):
         ({"scale": np.nan}, ["scale", "nan", "positive"]),
         ({"scale": "2"}, ["scale", "'2'", "positive"]),
         ({"scale": [1.0, 2.0]}, ["scale", "positive"]),
+        pytest.param({"scale": 10**400}, ["scale: got 1000", "positive"], id="beyond double precision"),
+        pytest.param({"scale": 10**5000}, ["scale: got a number of several thousand digits", "positive"], id="beyond words"),
         ({"joints": "loose"}, ["joints", "'loose'", "'follow'", "'fixed'"]),
     ],
 )

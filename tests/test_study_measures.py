@@ -169,7 +169,7 @@ def test_measures_stretch_nothing(tube_rig, posed):
         vertex_error("mesh.ply", s.vertices)
     with pytest.raises(InputError, match=r"joints: got shape \(3, 3\); expected shape \(4, 3\)"):
         joint_error(s.joints[:3], s.joints, tube_rig.moving)
-    for moving in ([1, 1, 0, 1], [True] * 3, [False] * 4, slice(None)):
+    for moving in ([1, 1, 0, 1], [True] * 3, [False] * 4, slice(None), [[True], [True, False]]):
         with pytest.raises(InputError, match="moving: got .*; expected True or False for each of 4 joints, one of them True"):
             joint_error(s.joints, s.joints, moving)
     for labels, words in ((s.labels[:1], r"labels: got shape \(1,\)"), (np.eye(4)[s.labels], r"scores.argmax\(axis=1\)")):

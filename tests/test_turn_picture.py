@@ -71,6 +71,11 @@ def test_joints_that_are_not_there_or_do_not_turn_are_named(hand):
         turn_picture(hand, "indx1")
     with pytest.raises(InputError, match="They are wrist, .*index1"):
         turn_picture(hand, "knee")
+    with pytest.raises(InputError, match=r"joint: got array\(\['index1', 'knee'\].*expected one of the 16 joints"):
+        turn_picture(hand, np.array(["index1", "knee"]))
+    for view in (None, []):
+        with pytest.raises(InputError, match=r"view: got .*; expected one of front, .*, or \(azimuth, elevation\) in degrees"):
+            turn_picture(hand, "index1", view=view, size=(16, 18))
     locked, lower, upper = hand.locked.copy(), hand.lower.copy(), hand.upper.copy()
     j = hand.joint_names.index("index2")
     locked[j], lower[j], upper[j] = True, 0.0, 0.0

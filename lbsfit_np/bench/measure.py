@@ -29,10 +29,11 @@ def joint_error(joints, true_joints, moving):
         Joints of another shape than the true ones, or none; a mask that is not one of bools, or of no joint.
     """
     joints, true_joints = _alike("joints", joints, true_joints)
-    moving = np.asarray(moving)
+    expected = f"True or False for each of {len(joints)} joints, one of them True"
+    moving = as_array("moving", moving, expected)
     if moving.dtype != bool or moving.shape != joints.shape[:1] or not moving.any():  # whole numbers would be rows
         got = f"{moving.dtype} values of shape {moving.shape}" if moving.dtype != bool or moving.any() else "no joint"
-        raise InputError("moving", got, f"True or False for each of {len(joints)} joints, one of them True", "Pass rig.moving.")
+        raise InputError("moving", got, expected, "Pass rig.moving.")
     return float(np.linalg.norm(joints - true_joints, axis=1)[moving].mean())
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, as_floats, brief
 from ..io.write import atomic_path
 from ..raster import Buffer, splat_points, splat_triangles
 from ..rig.frames import AXES
@@ -185,11 +185,11 @@ def write_png(path, image):
 
 def _camera_axes(view, up, forward):
     """Rows: the camera's right, up, and towards the viewer."""
-    if isinstance(view, str):
-        if view not in VIEWS:
-            raise InputError("view", repr(view), f"one of {', '.join(VIEWS)}, or (azimuth, elevation) in degrees")
-        view = VIEWS[view]
-    azimuth, elevation = np.radians(view)
+    expected = f"one of {', '.join(VIEWS)}, or (azimuth, elevation) in degrees"
+    angles = as_floats("view", VIEWS.get(view, ()) if isinstance(view, str) else view, expected)
+    if angles.shape != (2,) or not np.isfinite(angles).all():
+        raise InputError("view", brief(view), expected)
+    azimuth, elevation = np.radians(angles)
     u = _axis(up, "up")
     f = _axis(forward or _FORWARD[up[-1]], "forward")
     if abs(u @ f) > 0:

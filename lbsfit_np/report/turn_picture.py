@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..errors import InputError, did_you_mean
+from ..errors import InputError, brief, did_you_mean
 from ..rig.chains import subtrees
 from .fit_picture import axes_of
 from .render import Mesh, montage, render
@@ -36,12 +36,12 @@ def turn_picture(rig, joint, *, view="oblique", size=(320, 360)):
     Raises
     ------
     InputError
-        A name that no joint has; a joint that does not turn.
+        A name that no joint has; a joint that does not turn; a view that is none.
     """
     names = list(rig.joint_names)
-    if joint not in names:
+    if not isinstance(joint, str) or joint not in names:
         remedy = did_you_mean(joint, names) or f"They are {', '.join(names)}."
-        raise InputError("joint", repr(joint), f"one of the {len(names)} joints of {rig.name!r}", remedy)
+        raise InputError("joint", brief(joint), f"one of the {len(names)} joints of {rig.name!r}", remedy)
     j = names.index(joint)
     lower, upper = rig.lower[j], rig.upper[j]
     if not rig.moving[j]:

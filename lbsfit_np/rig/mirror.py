@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, brief
 from .data import RigData
 from .frames import AXES
 from .weld import welded_as_before
@@ -42,10 +42,10 @@ def mirrored(rig, name=None, *, axis="x"):
         Where that renames a joint, ``smpl_rest`` is left out: SMPL has its left joints before the right ones. Notes name
         joints as they are then.
     """
-    if axis not in ("x", "y", "z"):
-        raise InputError("axis", repr(axis), "'x', 'y' or 'z'")
+    if not isinstance(axis, str) or axis not in ("x", "y", "z"):
+        raise InputError("axis", brief(axis), "'x', 'y' or 'z'")
     if name is not None and not (isinstance(name, str) and name):
-        raise InputError("name", repr(name), "text, or None")
+        raise InputError("name", brief(name), "text, or None")
     if name is None:
         name = other_side(rig.name)
         if name == rig.name:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..errors import InputError, did_you_mean
+from ..errors import InputError, brief, did_you_mean
 
 __all__ = ["check_partition", "leading_joint", "partition_names", "parts_of_joints", "vertex_parts"]
 
@@ -15,9 +15,9 @@ def partition_names(partitions):
 def check_partition(argument, granularity, partitions):
     """Raise InputError about ``argument`` where a rig with these partitions has no such granularity."""
     known = partition_names(partitions)
-    if granularity not in known:
+    if not isinstance(granularity, str) or granularity not in known:
         remedy = did_you_mean(granularity, known) or "Name further partitions in the rig's card, in [parts.NAME]."
-        raise InputError(argument, repr(granularity), f"one of {', '.join(known)}", remedy)
+        raise InputError(argument, brief(granularity), f"one of {', '.join(known)}", remedy)
 
 
 def parts_of_joints(rig):

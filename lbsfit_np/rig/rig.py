@@ -281,15 +281,16 @@ class Rig:
             offsets = check_array("offsets", offsets, self.vertices.shape)
         if isinstance(scale, np.ndarray) and scale.ndim == 0:
             scale = scale[()]  # as NumPy's files have it
-        if not isinstance(scale, Real) or isinstance(scale, bool) or not 0 < scale < np.inf:
-            raise InputError("scale", repr(scale), "a positive number")
+        factor = _as_float(scale)
+        if not 0 < factor < np.inf:
+            raise InputError("scale", brief(scale), "a positive number")
         moved = None
         if not isinstance(joints, str):
             moved, joints = check_array("joints", joints, self.joints.shape) - self.joints, "follow"
         elif joints not in JOINT_MODES:
             expected = f"{' or '.join(map(repr, JOINT_MODES))}, or rest positions of shape {self.joints.shape}"
-            raise InputError("joints", repr(joints), expected)
-        return skin(self, theta, translation=translation, scale=float(scale), offsets=offsets, joint_offsets=moved, joints=joints)
+            raise InputError("joints", brief(joints), expected)
+        return skin(self, theta, translation=translation, scale=factor, offsets=offsets, joint_offsets=moved, joints=joints)
 
     def with_parts(self, granularity):
         """Return the same rig with another of its partitions in use."""
@@ -414,11 +415,16 @@ def _read_only(partitions):
     return ReadOnly({name: ReadOnly({part: tuple(on) for part, on in of.items()}) for name, of in partitions.items()})
 
 
-def _checked_factor(factor):
+def _as_float(number):
+    """A number in double precision: infinite where it is beyond that, NaN where it is none."""
     try:
-        size = float(factor) if isinstance(factor, Real) and not isinstance(factor, bool) else np.nan
-    except OverflowError:  # a whole number beyond double precision
-        size = np.inf
+        return float(number) if isinstance(number, Real) and not isinstance(number, bool) else np.nan
+    except OverflowError:
+        return np.inf
+
+
+def _checked_factor(factor):
+    size = _as_float(factor)
     if not _LEAST_FACTOR <= size <= 1 / _LEAST_FACTOR:
         bounds = f"a positive number, from {_LEAST_FACTOR:g} to {1 / _LEAST_FACTOR:g}"
         raise InputError("factor", brief(factor), bounds, "For example, 100 converts metres to centimetres.")

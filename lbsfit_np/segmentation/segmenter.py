@@ -107,7 +107,7 @@ class Segmenter:
         if isinstance(scale, bool) or not isinstance(scale, Real) or not 1e-100 <= as_float(scale) <= 1e100:
             raise InputError("scale", brief(scale), "a positive number, from 1e-100 to 1e100")
         rows = np.arange(len(points)) if rows is None else _checked_rows(rows, len(points))
-        if isinstance(views, bool) or views not in (1, len(_AXES)):
+        if isinstance(views, bool) or not isinstance(views, Real) or views not in (1, len(_AXES)):
             raise InputError("views", brief(views), f"{len(_AXES)}, or 1")
         with np.errstate(over="ignore"):
             points = points / (float(scale) * self.half)
