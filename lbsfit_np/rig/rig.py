@@ -53,9 +53,10 @@ class Rig:
     merged, locked : (J,) bool arrays
         Merged joints have given their weights to their parents; locked joints keep their weights but never turn.
     partitions : mapping of str to mapping of str to tuple of str
-        Named granularities: partition → part → joint names. "joints" (one part per moving joint) always exists.
+        Named granularities: partition → part → joint names. Besides, every rig has the granularity "joints" (one part per moving
+        joint), which need not be among these.
     granularity : str
-        The partition in use; ``parts`` and labels refer to it.
+        The one in use, "joints" or a partition; ``parts`` and labels refer to it.
     metres_per_unit : float or None
     up, forward : str or None
         Such as "+y"; None where unknown.
