@@ -10,6 +10,7 @@ import pytest
 
 from lbsfit_np.errors import InputError
 from lbsfit_np.io.rigs import load_rig
+from lbsfit_np.synthesis import synthesize
 
 
 @pytest.mark.parametrize(
@@ -55,6 +56,37 @@ def test_other_limits_make_another_rig(tube_rig):
     narrow = replace(tube_rig, lower=0.5 * tube_rig.lower, upper=0.5 * tube_rig.upper)
     assert narrow.digest != tube_rig.digest
     np.testing.assert_array_equal(narrow.lower, 0.5 * tube_rig.lower)
+
+
+@pytest.mark.parametrize("mask", ["locked", "merged"])
+def test_a_joint_that_is_locked_afterwards_never_turns(mask, tube_rig, tmp_path):
+    """Its limits are 0, so that no segmenter of the rig in which it turned passes for this one's."""
+    rig = replace(tube_rig.with_parts("arm and fingers"), poses={"bent": 0.5 * tube_rig.upper})
+    held = replace(rig, **{mask: np.arange(4) == 3})
+    others = [0, 1, 2]
+    for name in ("lower", "upper"):
+        assert not getattr(held, name)[3].any() and getattr(rig, name)[3].any()
+        np.testing.assert_array_equal(getattr(held, name)[others], getattr(rig, name)[others])
+        assert not getattr(held, name).flags.writeable
+    assert not held.poses["bent"][3].any() and held.poses["bent"][others].any() and held.poses_digest != rig.poses_digest
+    assert held.parts == rig.parts and held.digest != rig.digest
+    assert replace(held, **{mask: np.zeros(4, dtype=bool)}).digest == held.digest  # limits that are gone do not come back
+    for poses in ("natural", "uniform", "mixed"):
+        assert not any(scan.pose[3].any() for scan in synthesize(held, 3, poses=poses, random_state=0))
+    held.save(tmp_path / "held.npz")
+    again = load_rig(tmp_path / "held.npz")
+    assert (again.digest, again.poses_digest) == (held.digest, held.poses_digest)
+    for other in (held.mirrored(), held.scaled(2.0), held.with_template(held.vertices), held.welded, held.subject(0)):
+        assert not other.lower[3].any() and not other.upper[3].any() and other.turning.sum() == held.turning.sum()
+
+
+def test_limits_of_a_locked_joint_are_none(tube_rig):
+    rig = tube_rig.with_parts("arm and fingers")
+    held = replace(rig, locked=np.arange(4) == 3)
+    again = replace(held, lower=rig.lower, upper=rig.upper)
+    assert again.digest == held.digest != rig.digest
+    free = replace(held, locked=np.zeros(4, dtype=bool), lower=rig.lower, upper=rig.upper)
+    assert free.digest == rig.digest
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ class Rig:
     frames : (J, 3, 3) array
         Rest frames: the columns are the axes that the joint's angles turn about, given in the rig's frame.
     lower, upper : (J, 3) arrays
-        (R_l, R_u), joint-angle limits in radians about the rest frame's axes; 0, 0 for locked and merged joints.
+        (R_l, R_u), joint-angle limits in radians about the rest frame's axes; 0, 0 for locked and merged joints, in any case.
         The root's limits serve only to sample poses: a fit leaves the root unbounded.
     regressor : (J, m) sparse csr_array
         Joint regressor R; rows sum to 1. R U = J wherever the vertices reach, so not for a joint off the plane of a flat mesh.
@@ -63,7 +63,7 @@ class Rig:
     notes : tuple of str
         Anomalies found while reading, and what was done about them.
     poses : mapping of str to (J, 3) array
-        A library of natural poses, in radians in the rest frames; empty where there is none.
+        A library of natural poses, in radians in the rest frames, locked and merged joints unturned; empty where there is none.
     shapes : ShapeSpace or None
         Shape parameters and what they do (``rig.shapes.ShapeSpace``); :meth:`subject` sets them.
     smpl_rest : (J, 3, 3) array or None
@@ -97,7 +97,9 @@ class Rig:
         check_rig(self)
         poses = check_poses(Reporter(None), self.poses, self.joint_names)
         given = {n: p for n, p in self.poses.items() if isinstance(p, np.ndarray) and p.dtype == float}  # need no copy if locked
-        poses = {name: locked(pose) for name, pose in (poses | given).items()}
+        still = self.merged | self.locked
+        poses = {name: locked(_unturned(pose, still)) for name, pose in (poses | given).items()}
+        self.__dict__.update({name: _unturned(getattr(self, name), still) for name in ("lower", "upper")})
         self.__dict__.update({name: locked(value) for name, value in self.__dict__.items()})
         self.__dict__.update(poses=ReadOnly(poses), partitions=_read_only(self.partitions))
 
@@ -409,6 +411,11 @@ class Rig:
         from ..io.npz_rig import save_rig
 
         save_rig(self, path)
+
+
+def _unturned(angles, still):
+    """(J, 3) angles, 0 for joints that are still; the array itself where they are."""
+    return np.where(still[:, None], 0.0, angles) if angles[still].any() else angles
 
 
 def _read_only(partitions):
