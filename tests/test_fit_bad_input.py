@@ -10,7 +10,10 @@ import pytest
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
+from lbsfit_np.fitting.scan_fit import FitSettings, ScanFit
 from lbsfit_np.learning.batch import fit_scans
+from lbsfit_np.losses import LossWeights
+from lbsfit_np.optimize.model import Model
 from lbsfit_np.starts.scale import near_rows
 
 
@@ -81,6 +84,8 @@ def test_bad_scans_are_named_before_any_training(tube_rig, tube_scan, monkeypatc
     [
         ({"weights": "best"}, ["weights: got 'best'", "'paper'"]),
         ({"weights": {"lam": 1.0}}, ["weights", "LossWeights"]),
+        ({"weights": LossWeights(chamfer=0, lam_s=0)}, ["weights: got chamfer=0 and lam_s=0;", "a larger chamfer or lam_s."]),
+        ({"weights": LossWeights(chamfer=0), "variant": "cd"}, ["weights: got chamfer=0 without labels", "a larger chamfer."]),
         ({"joints": "loose"}, ["joints: got 'loose'", "'follow' or 'fixed'"]),
         ({"scale": 2.0}, ["scale: got 2.0", "'estimate' or 'fixed'"]),
         ({"max_points": 0}, ["max_points: got 0", "positive integer"]),
@@ -126,6 +131,23 @@ def test_bad_parameters_are_named(tube_rig, tube_scan, parameters, words):
         lbs.LBSFitter(**{"rig": tube_rig, "random_state": 0, "training_scans": 1, **parameters}).fit_scan(tube_scan.points)
     for word in words:
         assert word in str(error.value)
+
+
+@pytest.mark.usefixtures("hurried")
+def test_a_fit_without_parts_needs_the_plain_term(tube_rig, fitter, tube_scan):
+    """Nothing else would compare the mesh with the scan; free-form fits have weights of their own for that."""
+    weights, points, labels = LossWeights(chamfer=0.0), tube_scan.points, tube_scan.labels
+    fit = ScanFit(Model(tube_rig), FitSettings(weights=weights, effort="fast", full_iterations=1))
+    with pytest.raises(InputError, match="weights: got chamfer=0 without labels.*at least one term that compares the mesh"):
+        fit.fit(points, theta0=tube_scan.pose)
+    assert fit.fit(points, labels=labels).terms.keys() == {"structured", "laplacian", "total", "recon"}
+    fit.settings = FitSettings(weights=weights.replace(lam_s=0), effort="fast")
+    with pytest.raises(InputError, match="weights: got chamfer=0 and lam_s=0"):
+        fit.fit(points, labels=labels)
+    with pytest.raises(InputError, match="weights: got chamfer=0 without labels"):  # before any training
+        fitter.set_params(variant="cd", weights=weights).pretrain()
+    loose = fitter.set_params(variant="free-form", weights=weights.replace(lam_s=0)).fit_scan(points)
+    assert loose.status == "ok" and loose.terms.keys() == {"chamfer", "laplacian", "total", "recon"}
 
 
 @pytest.mark.parametrize("n_jobs", [0, -3, True, 1.5, "2"])

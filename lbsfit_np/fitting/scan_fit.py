@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from ..errors import InputError, listed
-from ..losses.objective import PRESETS, LossWeights
+from ..losses.objective import PRESETS, LossWeights, check_compare
 from ..optimize.frame import Frame, root_turn, turned_root
 from ..optimize.problem import Problem
 from ..optimize.state import IN_UNIT, SIZED
@@ -161,6 +161,11 @@ class ScanFit:
         Returns
         -------
         FitResult
+
+        Raises
+        ------
+        InputError
+            No term of the weights would compare the mesh with the scan.
         """
         started = time.perf_counter()
         if found is not None and part is None:
@@ -202,6 +207,7 @@ class ScanFit:
 
     def _fit(self, points, theta0, labels, point_weights, part, started, found, *, once):
         model, settings = self.model, self.settings
+        check_compare(settings.weights, labels is not None or self.segmenter is not None)
         rows, guess = part.rows, part.scale
         a = shares(point_weights, rows)
         given = given_names(theta0, labels)

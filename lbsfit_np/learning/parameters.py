@@ -8,7 +8,7 @@ import numpy as np
 from ..errors import InputError, as_array, brief, check_array, check_unmasked, counted, did_you_mean, is_whole
 from ..fitting.effort import EFFORTS
 from ..fitting.scan_fit import FitSettings
-from ..losses.objective import as_weights
+from ..losses.objective import as_weights, check_compare
 from ..rig.frames import AXES
 from ..rig.rig import Rig
 from ..rig.units import METRES
@@ -55,7 +55,7 @@ def check_parameters(fitter):
     """Raise InputError unless every parameter of the fitter can be used."""
     if not isinstance(fitter.rig, Rig):
         raise InputError("rig", type(fitter.rig).__name__, "a Rig", "Read one with load_rig.")
-    as_weights(fitter.weights)
+    weights = as_weights(fitter.weights)
     if not isinstance(fitter.training, (type(None), Mapping, Synthesis)):
         raise InputError("training", type(fitter.training).__name__, "a dict of fields of synthesis.Synthesis")
     choices = {"joints": JOINT_MODES, "scale": ("estimate", "fixed"), "orientation": ORIENTATIONS, "effort": tuple(EFFORTS)}
@@ -73,7 +73,9 @@ def check_parameters(fitter):
             raise InputError("up", f"{fitter.up!r} with orientation 'any'", "an orientation that has an up axis", remedy)
     if fitter.unit is not None:
         _check_unit(fitter.unit, fitter.rig)
-    as_variant(fitter.variant)
+    variant = as_variant(fitter.variant)
+    if variant.skinning:  # without it the weights of the data are others anyway
+        check_compare(weights, variant.labels)
     check_random_state(fitter.random_state)
     for name, most in (("held_out", 0.9), ("smooth", 1e6)):
         value = getattr(fitter, name)

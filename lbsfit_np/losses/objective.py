@@ -10,7 +10,7 @@ from .checks import check_index, check_labels, check_number, check_same_length, 
 from .laplacian import laplacian_offsets, laplacian_posed
 from .structured import neighbors_in_parts
 
-__all__ = ["BOTH", "PLAIN", "PRESETS", "STRUCTURED", "LossWeights", "as_weights", "objective"]
+__all__ = ["BOTH", "PLAIN", "PRESETS", "STRUCTURED", "LossWeights", "as_weights", "check_compare", "objective"]
 
 # Of weights.
 _LARGEST = 1e100
@@ -25,7 +25,7 @@ class LossWeights:
     Attributes
     ----------
     chamfer : float
-        Weight of L_{c²,λ}; 1 in the paper. 0 leaves the plain term out.
+        Weight of L_{c²,λ}; 1 in the paper. 0 leaves the plain term out: fits then need labels and λ_s.
     lam : float
         λ, the weight of the undeformed template in both composites.
     lam_s : float
@@ -87,6 +87,18 @@ def as_weights(weights):
     if isinstance(weights, str) and weights in PRESETS:
         return PRESETS[weights]
     raise InputError("weights", repr(weights), f"a LossWeights or one of {', '.join(map(repr, PRESETS))}")
+
+
+def check_compare(weights, labels):
+    """Raise InputError where no term of some LossWeights compares the mesh with the scan.
+
+    ``labels``: whether there are parts for the structured term to go by.
+    """
+    if weights.chamfer or (labels and weights.lam_s):
+        return
+    got = "chamfer=0 and lam_s=0" if labels else "chamfer=0 without labels, which the structured term goes by"
+    remedy = f"Pass a larger chamfer{' or lam_s' if labels else ''}."
+    raise InputError("weights", got, "at least one term that compares the mesh with the scan", remedy)
 
 
 @dataclass(frozen=True)
