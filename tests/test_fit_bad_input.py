@@ -1,6 +1,7 @@
 """Bad scans and bad parameters of a fit are named before any training."""
 
 import re
+from dataclasses import replace
 from inspect import signature
 from pathlib import Path
 from types import SimpleNamespace
@@ -131,6 +132,51 @@ def test_bad_parameters_are_named(tube_rig, tube_scan, parameters, words):
         lbs.LBSFitter(**{"rig": tube_rig, "random_state": 0, "training_scans": 1, **parameters}).fit_scan(tube_scan.points)
     for word in words:
         assert word in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "settings, words",
+    [
+        ({"weights": {"lam": 1.0}}, "weights: got {'lam': 1.0}; expected a LossWeights or one of 'paper'"),
+        ({"scale": "fxed"}, "scale: got 'fxed'; expected 'estimate' or 'fixed'. Did you mean 'fixed'?"),
+        ({"unit": "x"}, "unit: got 'x'; expected 'm', 'cm', 'mm', 'in', 'ft' or None."),
+        ({"effort": "x"}, "effort: got 'x'; expected 'fast', 'balanced' or 'thorough'."),
+        ({"cropped": 1}, "cropped: got 1; expected True or False"),
+        ({"max_points": 0}, "max_points: got 0; expected a positive integer"),
+        ({"polish": -1}, "polish: got -1; expected an integer of at least 0"),
+        ({"pose_iterations": 2.5}, "pose_iterations: got 2.5; expected an integer"),
+        ({"plain_iterations": True}, "plain_iterations: got True; expected an integer"),
+        ({"full_iterations": None}, "full_iterations: got None; expected an integer"),
+        ({"full_tolerance": np.nan}, "full_tolerance: got nan; expected a finite number of at least 0"),
+        ({"polish_ridge": -1e-5}, "polish_ridge: got -1e-05; expected a finite number"),
+        ({"ridge": "1"}, "ridge: got '1'; expected a finite number"),
+        ({"doubt": 1.5}, "doubt: got 1.5; expected a probability, at most 1"),
+        ({"refinements": ()}, "refinements: got (); expected one or more positive numbers, from 1e-100 to 1e+100. Pass a tuple"),
+        ({"refinements": (0.1, 0.0)}, "refinements: got (0.1, 0.0); expected one or more positive numbers"),
+        ({"refinements": [np.inf]}, "refinements: got [inf]; expected one or more positive numbers"),
+        ({"refinements": 0.1}, "refinements: got 0.1; expected one or more positive numbers"),
+    ],
+)
+def test_bad_settings_are_named_where_they_are_made(settings, words):
+    with pytest.raises(InputError) as error:
+        FitSettings(**settings)
+    assert str(error.value).startswith(words)
+
+
+def test_settings_are_plain():
+    made = FitSettings(weights="paper", refinements=[np.float32(0.5), 1], partial=np.True_, ridge=np.float32(0.25))
+    assert made == FitSettings(weights=LossWeights(), refinements=(0.5, 1.0), partial=True, ridge=0.25)
+    assert [type(value) for value in (*made.refinements, made.partial, made.ridge)] == [float, float, bool, float]
+
+
+@pytest.mark.parametrize(
+    "settings, words",
+    [({"max_points": 3}, "max_points: got 3; expected at least 4, as many"), ({"unit": "cm"}, "unit: got 'cm' with the rig")],
+)
+def test_settings_that_do_not_suit_the_rig_are_named_as_it_is_fitted(settings, words, tube_rig, tube_scan):
+    rig = replace(tube_rig, metres_per_unit=None)
+    with pytest.raises(InputError, match=words):
+        ScanFit(Model(rig), FitSettings(**settings)).fit(tube_scan.points, labels=tube_scan.labels)
 
 
 @pytest.mark.usefixtures("hurried")

@@ -20,6 +20,7 @@ from ..starts.scale import unit_note
 from ..starts.turns import Facing, contradicts_note, some_turns, stands_note
 from ..threads import one_thread
 from .assemble import assemble
+from .checks import check_settings, check_suits
 from .drawn import drawn_by_itself
 from .labels import one_hot
 from .last_stages import LastStages
@@ -46,11 +47,11 @@ __all__ = [
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How a scan is fitted. Lengths in half sizes of the rig.
+    """How a scan is fitted. Lengths in half sizes of the rig. InputError for what cannot be used.
 
     Attributes
     ----------
-    weights : LossWeights
+    weights : LossWeights or one of ``PRESETS``
         Of the full objective.
     scale : {"estimate", "fixed"}
     unit : {"m", "cm", "mm", "in", "ft"} or None
@@ -71,7 +72,7 @@ class FitSettings:
         Decrease of the objective in one iteration, as a share of its value at the stage's start, below which the last pose
         stage and the full stage have converged.
     refinements : tuple of float
-        σ of each refinement of the labels, each followed by a pose stage.
+        σ of each refinement of the labels, each followed by a pose stage; labels that come out go by the last.
     polish : int
         Levenberg–Marquardt steps on pose and proportions before the full stage, and as many on all points; 0 leaves them out,
         and with them, for single scans, other bends, the search for missing limbs and the last steps of the pose.
@@ -100,6 +101,10 @@ class FitSettings:
     polish_ridge: float = 3e-5
     ridge: float = 1e-3
     doubt: float = 0.8
+
+    def __post_init__(self):
+        for name, value in check_settings(self).items():
+            object.__setattr__(self, name, value)
 
     @property
     def coverage(self):
@@ -201,6 +206,7 @@ class ScanFit:
 
     def taking_part(self, points, point_weights=None, random_state=None, **known):
         """What of a scan its fit looks at, see ``starts.clean.taking_part``, whose other arguments may be given."""
+        check_suits(self.model.source, max_points=self.settings.max_points, unit=self.settings.unit)
         limits = {"most": self.settings.max_points, "scale": self.settings.scale, "unit": self.settings.unit}
         limits |= {"cropped": self.settings.cropped, "point_weights": point_weights}
         return taking_part(points, self.model.source, rng=generator(random_state, "thin"), **limits, **known)

@@ -5,7 +5,8 @@ from numbers import Real
 
 import numpy as np
 
-from ..errors import InputError, as_array, brief, check_array, check_unmasked, counted, did_you_mean, is_whole
+from ..errors import InputError, as_array, brief, check_array, check_unmasked, counted, did_you_mean
+from ..fitting.checks import SCALES, check_choice, check_flag, check_suits, check_whole
 from ..fitting.effort import EFFORTS
 from ..fitting.scan_fit import FitSettings
 from ..losses.objective import as_weights, check_compare
@@ -58,21 +59,14 @@ def check_parameters(fitter):
     weights = as_weights(fitter.weights)
     if not isinstance(fitter.training, (type(None), Mapping, Synthesis)):
         raise InputError("training", type(fitter.training).__name__, "a dict of fields of synthesis.Synthesis")
-    choices = {"joints": JOINT_MODES, "scale": ("estimate", "fixed"), "orientation": ORIENTATIONS, "effort": tuple(EFFORTS)}
+    choices = {"joints": JOINT_MODES, "scale": SCALES, "orientation": ORIENTATIONS, "effort": EFFORTS}
     for name, known in choices.items():
-        value = getattr(fitter, name)
-        if not isinstance(value, str) or value not in known:
-            words = f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}"
-            raise InputError(name, brief(value), words, did_you_mean(value, known))
-    if fitter.up is not None:
-        if not isinstance(fitter.up, str) or fitter.up not in AXES:
-            words = f"{', '.join(map(repr, AXES))} or None"
-            raise InputError("up", brief(fitter.up), words, did_you_mean(fitter.up, AXES))
-        if fitter.orientation == "any":
-            remedy = "Leave it out, or choose 'upright'."
-            raise InputError("up", f"{fitter.up!r} with orientation 'any'", "an orientation that has an up axis", remedy)
-    if fitter.unit is not None:
-        _check_unit(fitter.unit, fitter.rig)
+        check_choice(name, getattr(fitter, name), known)
+    check_choice("up", fitter.up, AXES, optional=True)
+    if fitter.up is not None and fitter.orientation == "any":
+        remedy = "Leave it out, or choose 'upright'."
+        raise InputError("up", f"{fitter.up!r} with orientation 'any'", "an orientation that has an up axis", remedy)
+    check_choice("unit", fitter.unit, METRES, optional=True)
     variant = as_variant(fitter.variant)
     if variant.skinning:  # without it the weights of the data are others anyway
         check_compare(weights, variant.labels)
@@ -82,27 +76,14 @@ def check_parameters(fitter):
         if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= value <= most:
             raise InputError(name, brief(value), f"a number of at least 0 and at most {most:g}")
     for name in ("sequence", "partial", "cropped", "registration"):
-        if not isinstance(getattr(fitter, name), (bool, np.bool_)):
-            raise InputError(name, brief(getattr(fitter, name)), "True or False")
+        check_flag(name, getattr(fitter, name))
     if fitter.smooth and not fitter.sequence:
         got = f"{float(fitter.smooth):g} without sequence"
         raise InputError("smooth", got, "a sequence", "Pass sequence=True, or leave it out.")
     jobs_of(fitter.n_jobs, None)
     for name in ("max_points", "training_scans", "rounds"):
-        value = getattr(fitter, name)
-        if not is_whole(value, 1):
-            raise InputError(name, brief(value), "a positive integer")
-    if fitter.max_points < len(fitter.rig.parts):
-        raise InputError("max_points", str(fitter.max_points), f"at least {len(fitter.rig.parts)}, as many as the rig has parts")
-
-
-def _check_unit(unit, rig):
-    if not isinstance(unit, str) or unit not in METRES:
-        raise InputError("unit", brief(unit), f"{', '.join(map(repr, METRES))} or None", did_you_mean(unit, METRES))
-    if rig.metres_per_unit is None:
-        got = f"{unit!r} with the rig {rig.name!r}, whose own unit is not known"
-        remedy = "Give the rig's unit in a card ([rig] unit), before learning if it is a model's, or leave this argument out."
-        raise InputError("unit", got, "a rig whose unit is known", remedy)
+        check_whole(name, getattr(fitter, name), 1)
+    check_suits(fitter.rig, max_points=fitter.max_points, unit=fitter.unit)
 
 
 def check_segmenter(segmenter, rig):
