@@ -5,11 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import sparse
 from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
-from lbsfit_np.fitting.assemble import _guessed, _guesses, assemble
+from lbsfit_np.fitting.assemble import assemble
 from lbsfit_np.fitting.confidence import evidence_of
 from lbsfit_np.fitting.labels import labels_from_mesh
 from lbsfit_np.losses.chamfer import chamfer
@@ -270,9 +269,9 @@ def test_a_part_without_points_may_be_cut_off(rigs, status, coverage, monkeypatc
     model = Model(rigs["tube"])
     V = model.pose(model.rest())[0].vertices
     said = {}
-    for guesses in (False, True):
-        std = np.full(len(model.rig.parents), 0.2 if guesses else 0.001)
-        said[guesses] = "--cropped" in _at_rest(model, V, coverage=coverage, joint_std=std).message
+    for unsure in (False, True):
+        std = np.full(len(model.rig.parents), 0.2 if unsure else 0.001)
+        said[unsure] = "--cropped" in _at_rest(model, V, coverage=coverage, joint_std=std).message
     assert said == {False: False, True: status != "ok" and not coverage.cropped}
 
 
@@ -324,13 +323,16 @@ def test_nothing_looks_further_where_a_scan_lacks_most_of_the_body(std, said, ri
     assert r.evidence["part_unreached"] > 0.9 and ("effort looks further" in r.message) == said
 
 
-def test_joints_without_skin_are_not_named_as_guesses(rigs):
-    """No scan could tell where they are, such as a root on the ground between the feet."""
-    rig, skinned = rigs["hand"], np.arange(16) != 5
-    bare = replace(rig, weights=sparse.csr_array(rig.weights @ sparse.diags_array(skinned.astype(float))))
-    found = [_guesses(r, np.where(skinned, 0.0, 0.1)) for r in (rig, bare)]
-    assert found == [[rig.joint_names[5]], []] and [_guessed(f) for f in found] == [f"{_HARDLY}{rig.joint_names[5]}", ""]
-    assert _guesses(bare, np.full(16, 0.1)) and rig.joint_names[5] not in _guesses(bare, np.linspace(0.1, 0.2, 16)[::-1])
+@pytest.mark.parametrize("std, guess", [(0.019, False), (0.021, True)])
+def test_guesses_are_in_shares_of_the_size_that_comes_out(rigs, std, guess, monkeypatch):
+    """Not of the one that the fit is judged by."""
+    monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", lambda *evidence: ("ok", ""))
+    model = Model(rigs["hand"])
+    state = model.rest().replace(scale=1.25)
+    V = model.pose(state)[0].vertices
+    joint_std = np.where(np.arange(16) == 7, 2.5 * std, 0.0)  # in half sizes of the rig
+    r = _at_rest(model, V, state=state, joint_std=joint_std, judged_by=state.replace(scale=1.0))
+    assert (_HARDLY.strip() in r.message) == guess == (r.joint_std[7] > 0.02 * rigs["hand"].size * r.scale)
 
 
 def test_joints_that_are_guesses_are_named_the_worst_first(rigs, monkeypatch):

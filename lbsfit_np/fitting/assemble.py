@@ -13,7 +13,7 @@ from .confidence import AT_LIMITS, MISFIT, NO_POINTS, evidence_of, lacks_most, p
 from .labels import labels_from_mesh
 from .result import FitResult
 
-__all__ = ["GUESS", "assemble"]
+__all__ = ["GUESS", "assemble", "guesses"]
 
 # Of the surface, where more than this share is far from all points, they may be of one side only, or of a part.
 _HARDLY_REACHED = 0.1
@@ -154,7 +154,7 @@ def assemble(
     if x_labels is not None:
         term_labels[part.rows] = x_labels
     std = np.full(len(rig.parents), np.nan) if joint_std is None or not finite else joint_std * frame.unit
-    guesses = _guesses(rig, std / (judged_by.scale * frame.unit / model.half * rig.size))
+    unsure, guessed_share = guesses(rig, std, scale)
     evidence, probability, status, reason = {}, 0.0, "failed", "the fit is not finite; check the scan for extreme outliers"
     if finite and not judged:
         status, reason = "ok", ""
@@ -172,7 +172,6 @@ def assemble(
             proportions=proportions,
             shown=shown,
         )
-        guessed_share = len(guesses) / max(np.count_nonzero(_told_by_skin(rig)), 1)
         probability = probability_of(evidence, guessed_share)
         status, reason = verdict_of(evidence, probability, {name: rig.parts[p] for name, p in worst.items() if p >= 0})
         if status != "ok":
@@ -183,12 +182,12 @@ def assemble(
             large = per is not None and scale / per * template.size / rig.size > _LARGE
             reason += f"; {_asked(given, evidence, large)}"
         if shown is not None:  # what is missing is told by its own note
-            guesses = [name for name in guesses if not shown.joints[rig.joint_names.index(name)]]
-        if words := _incomplete(status, evidence, coverage, guesses):
+            unsure = unsure[~shown.joints[unsure]]
+        if words := _incomplete(status, evidence, coverage, len(unsure)):
             reason = f"{reason}; {words}" if reason else f"much of the surface has no points near it: {words}"
     if shown is not None:
         notes = [shown.note, *notes] if status != "failed" else notes
-    guessed = "" if status == "failed" else _guessed(guesses)  # it is of a pose that is about right
+    guessed = "" if status == "failed" else _guessed([rig.joint_names[j] for j in unsure])  # it is of a pose that is about right
     if not finite:
         found = ()
     elif status == "failed" and any(found):
@@ -236,18 +235,29 @@ def _terms(model, problem, state, weights, x_labels, pivot, turn):
     return L.terms | {"total": L.value, "recon": float(np.sqrt(chamfer(X, Vd, x_weights=problem.x_weights)[0]))}
 
 
-def _guesses(rig, std):
-    """Names of the joints that are guesses, by how precisely they are told in shares of the rig's size; the worst first.
+def guesses(rig, joint_std, scale):
+    """The joints whose places a scan hardly tells, of those that turn and have skin: no point could tell where others are.
 
-    Joints without skin are left out, such as a root on the ground between the feet: no point could ever tell where they are.
+    Such as a root on the ground between the feet.
+
+    Parameters
+    ----------
+    rig : Rig
+    joint_std : (J,) array
+        As in ``FitResult``.
+    scale : float
+        The result's.
+
+    Returns
+    -------
+    rows : (k,) int array
+        The worst first.
+    share : float
+        Of the joints that turn and have skin.
     """
-    rows = np.flatnonzero(_told_by_skin(rig) & (std > GUESS))
-    return [rig.joint_names[j] for j in rows[np.argsort(-std[rows], kind="stable")]]
-
-
-def _told_by_skin(rig):
-    """(J,) bool: joints that turn and have skin."""
-    return rig.moving & (rig.weights.sum(axis=0) > 0)
+    told = rig.moving & (rig.weights.sum(axis=0) > 0)
+    rows = np.flatnonzero(told & (joint_std > GUESS * rig.size * scale))
+    return rows[np.argsort(-joint_std[rows], kind="stable")], len(rows) / max(np.count_nonzero(told), 1)
 
 
 def _guessed(names):
@@ -258,7 +268,7 @@ def _guessed(names):
     return f"the scan hardly tells where these joints are (see joint_std): {', '.join(names[:_MOST_NAMED])}{more}"
 
 
-def _incomplete(status, evidence, coverage, guesses):
+def _incomplete(status, evidence, coverage, n_guesses):
     """What to pass if the scan does not show all of the body, in words; empty where nothing speaks for that.
 
     A right fit, too, finds a wrong scale where much is missing. Limbs that are cut off may be laid on what is shown: then little
@@ -267,7 +277,7 @@ def _incomplete(status, evidence, coverage, guesses):
     if coverage.whole and evidence["unreached"] > _HARDLY_REACHED:
         words = "if the scan shows one side only, pass partial (--partial)"
         return words + ", or if it ends before the body does, cropped (--cropped)"
-    cut = status != "ok" and not coverage.cropped and guesses and evidence["part_unreached"] > NO_POINTS
+    cut = status != "ok" and not coverage.cropped and n_guesses and evidence["part_unreached"] > NO_POINTS
     return f"if the scan ends before the body does, pass cropped{'' if coverage.whole else ', too'} (--cropped)" if cut else ""
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from ..errors import InputError
 from ..starts.beyond import beyond, cuts, end_of, goes_on, scales_of
-from .assemble import GUESS
+from .assemble import guesses
 
 __all__ = ["is_long", "looked_at_again", "may_go_on"]
 
@@ -171,5 +171,4 @@ class _Look:
 
     def _tells(self, found):
         """Whether the scan tells where most of the joints are."""
-        guesses = found.joint_std > GUESS * self._rig.size * found.scale
-        return guesses[self._rig.moving].mean() <= _GUESSES
+        return guesses(self._rig, found.joint_std, found.scale)[1] <= _GUESSES
