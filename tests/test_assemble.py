@@ -407,7 +407,12 @@ def test_a_fit_that_is_not_finite_has_failed_and_found_nothing(rigs, judged, wil
     r = _at_rest(model, X, state=wild, notes=["a note", ""], found=("in inches", ""), further=further, judged=judged)
     assert (r.status, r.probability, r.evidence) == ("failed", 0.0, {})
     assert r.message == "the fit is not finite; check the scan for extreme outliers; a note"
-    assert not np.isfinite(r.vertices).any() and not np.isfinite(r.terms["total"]) and not r.confidence.any()
+    assert not np.isfinite(r.vertices).any() and not np.isfinite(r.terms["total"])
+    assert not r.confidence.any() and not r.labels.any()
+    known = np.arange(len(X)) % 3 - 1  # some are not
+    r = _at_rest(model, X, state=wild, labels=known, judged=judged)
+    np.testing.assert_array_equal(r.labels, np.maximum(known, 0))
+    np.testing.assert_array_equal(r.confidence, known >= 0)
 
 
 def test_a_turn_that_was_found_is_in_the_root_alone(rigs):

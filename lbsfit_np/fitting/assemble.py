@@ -135,13 +135,11 @@ def assemble(
     skin = slice(None) if shown is None else ~shown.missing  # points are not of what the scan lacks
     of_mesh = frame.outside(V)[skin], model.labels[skin], len(rig.parts), sigma * frame.unit
     unknown = np.ones(len(points), dtype=bool) if labels is None else labels < 0
-    if not finite and labels is None:
-        labels, confidence = np.zeros(len(points), dtype=int), np.zeros(len(points))
-    elif labels is None:
+    if labels is None and finite:
         known = {} if proba is None else {"proba": proba, "proba_points": points[part.rows]}
         labels, confidence = labels_from_mesh(points, *of_mesh, **known)
     else:
-        labels, confidence = labels.copy(), np.ones(len(points))
+        labels, confidence = np.where(unknown, 0, 0 if labels is None else labels), np.where(unknown, 0.0, 1.0)
         if unknown.any() and finite:
             labels[unknown], confidence[unknown] = labels_from_mesh(points[unknown], *of_mesh)
     left_out = part.left_out(points)
