@@ -14,7 +14,7 @@ from small_rigs import make_tube_rig
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.refit import Refit
-from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.fitting.scan_fit import FitSettings, ScanFit
 from lbsfit_np.fitting.search import Search
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
@@ -133,6 +133,17 @@ def test_a_start_that_is_right_is_not_lost_to_labels_that_are_wrong(tube_rig, tu
     monkeypatch.setattr(type(tube_fitter.segmenter_), "predict_proba", lambda self, points, **options: wrong)
     r = tube_fitter.fit_scan(tube_scan.points, theta0=tube_scan.pose)
     assert mean_error(tube_rig, r.joints, tube_scan.joints) < 0.05
+
+
+@pytest.mark.usefixtures("hurried")
+@pytest.mark.parametrize("polish", [0, 1])
+@pytest.mark.parametrize("labels", [False, True])
+def test_a_start_goes_its_own_way_where_a_polish_tells_the_best(labels, polish, tube_rig, tube_scan, monkeypatch):
+    made, in_place = [], Refit.in_place
+    monkeypatch.setattr(Refit, "in_place", lambda *given: made.append(given) or in_place(*given))
+    fit = ScanFit(Model(tube_rig), FitSettings(polish=polish, full_iterations=1))
+    r = fit.fit(tube_scan.points, theta0=tube_scan.pose, labels=tube_scan.labels if labels else None)
+    assert len(made) == polish and np.isfinite(r.vertices).all()
 
 
 @pytest.mark.usefixtures("hurried")

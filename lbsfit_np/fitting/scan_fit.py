@@ -75,7 +75,8 @@ class FitSettings:
         σ of each refinement of the labels, each followed by a pose stage; labels that come out go by the last.
     polish : int
         Levenberg–Marquardt steps on pose and proportions before the full stage, and as many on all points; 0 leaves them out,
-        and with them, for single scans, other bends, the search for missing limbs and the last steps of the pose.
+        and with them, for single scans, other bends, the search for missing limbs, the last steps of the pose, and what a given
+        start leads to by itself. On a learned template only other proportions are then not looked for.
     polish_ridge : float
         Weight of ‖c‖² in them.
     ridge : float
@@ -315,7 +316,8 @@ class ScanFit:
                 best = frame, problem, proba, theta, search
         frame, problem, proba, theta, search = best
         others = []
-        if theta0 is not None:  # labels, also right ones of one side, may lead away from a start that is right
+        # Labels, also right ones of one side, may lead away from a start that is right; the polish tells the best.
+        if theta0 is not None and self.settings.polish:
             known = Runner(problem, self._refit.in_place(problem, theta))
             others = [end.state for end in [known, *(self._refit.race([known]) if labels is None else ())]]
         # What is known of fits, and the weights of losses, are of half sizes: in the scan's own unit, not in that of a guess.

@@ -60,7 +60,8 @@ class Search:
     def pose(self, others=()):
         """After :meth:`start`, the stages before the full objective: the State with pose, place and proportions.
 
-        Of ``others``, States, the last of these stages goes on as well; what leaves the least unexplained is taken.
+        Of ``others``, States, the last of these stages goes on as well; what leaves the least unexplained is taken. Without a
+        polish there may be none.
         """
         state = self.outcome.state
         for sigma in () if self.proba is None else self.settings.refinements:

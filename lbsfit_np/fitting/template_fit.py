@@ -26,6 +26,7 @@ class TemplateFit:
     model : Model
         Of the template.
     settings : FitSettings
+        Of ``polish``, the steps of :meth:`proportions`; the last steps of the pose are taken whatever it says.
     other_limbs : bool, default True
         As for ``Bends``.
     """
