@@ -125,7 +125,14 @@ BAD = [
     (lambda: LossWeights(lam_lap=10**5000), ["lam_lap: got a number of several thousand digits"]),
     (lambda: LossWeights(lam_lap=np.float32(np.inf)), ["lam_lap: got", "a finite number"]),
     (lambda: LossWeights(squared="False"), ["squared: got 'False'", "True or False"]),
+    (lambda: LossWeights(squared=np.array([True, False])), ["squared: got array([ True, False])", "True or False"]),
+    (lambda: laplacian_posed(_V, S.K, squared="False"), ["squared: got 'False'", "True or False"]),
+    (lambda: laplacian_offsets(_V, S.K, squared=np.array([True, False])), ["squared: got array", "True or False"]),
+    (lambda: laplacian_posed(_V, S.K, squared=1), ["squared: got 1;", "True or False"]),
     (lambda: LossWeights(laplacian="both"), ["laplacian: got 'both'", "'posed' or 'offsets'"]),
+    (lambda: LossWeights(laplacian="ofsets"), ["laplacian: got 'ofsets'", "Did you mean 'offsets'?"]),
+    (lambda: LossWeights(laplacian=np.array(["posed", "offsets"])), ["laplacian: got array(", "'posed' or 'offsets'"]),
+    (lambda: LossWeights(laplacian=S.K), ["laplacian: got <", "'posed' or 'offsets'"]),
     (lambda: PRESETS["paper"].replace(lam_s=np.inf), ["lam_s: got inf"]),
 ]
 

@@ -4,34 +4,18 @@ from numbers import Real
 
 import numpy as np
 
-from ..errors import InputError, brief, did_you_mean, is_whole
-from ..losses.checks import as_float, check_number
+from ..errors import InputError, brief, is_whole
+from ..losses.checks import as_float, check_choice, check_flag, check_number
 from ..losses.objective import as_weights
 from ..rig.units import METRES
 from .effort import EFFORTS
 
-__all__ = ["SCALES", "check_choice", "check_flag", "check_settings", "check_suits", "check_whole"]
+__all__ = ["SCALES", "check_settings", "check_suits", "check_whole"]
 
 # What a fit may do about the scale.
 SCALES = ("estimate", "fixed")
 # σ of less has no square in double precision, and of more no inverse one.
 _FINEST, _COARSEST = 1e-100, 1e100
-
-
-def check_choice(name, value, known, *, optional=False):
-    """Raise InputError unless a value is one of some names; with ``optional`` it may be None."""
-    if (value is None and optional) or (isinstance(value, str) and value in known):
-        return
-    known = tuple(known)
-    some, last = (known, None) if optional else (known[:-1], known[-1])
-    raise InputError(name, brief(value), f"{', '.join(map(repr, some))} or {last!r}", did_you_mean(value, known))
-
-
-def check_flag(name, value):
-    """True or False, Python's or NumPy's, as Python's; else InputError."""
-    if not isinstance(value, (bool, np.bool_)):
-        raise InputError(name, brief(value), "True or False")
-    return bool(value)
 
 
 def check_whole(name, value, least):

@@ -6,9 +6,10 @@ from numbers import Real
 import numpy as np
 
 from ..errors import InputError, as_array, brief, check_array, check_unmasked, counted, did_you_mean
-from ..fitting.checks import SCALES, check_choice, check_flag, check_suits, check_whole
+from ..fitting.checks import SCALES, check_suits, check_whole
 from ..fitting.effort import EFFORTS
 from ..fitting.scan_fit import FitSettings
+from ..losses.checks import check_choice, check_flag
 from ..losses.objective import as_weights, check_compare
 from ..rig.frames import AXES
 from ..rig.rig import Rig

@@ -5,12 +5,14 @@ from numbers import Real
 
 import numpy as np
 
-from ..errors import ONE_AT_A_TIME, InputError, as_array, as_floats, brief, check_unmasked, its_array, not_finite
+from ..errors import ONE_AT_A_TIME, InputError, as_array, as_floats, brief, check_unmasked, did_you_mean, its_array, not_finite
 from ..neighbors import PointIndex
 
 __all__ = [
     "LARGEST",
     "as_float",
+    "check_choice",
+    "check_flag",
     "check_index",
     "check_labels",
     "check_number",
@@ -98,6 +100,22 @@ def check_number(argument, value):
     if not isinstance(value, Real) or not 0 <= (number := as_float(value)) <= sys.float_info.max:
         raise InputError(argument, brief(value), "a finite number of at least 0")
     return number
+
+
+def check_choice(argument, value, known, *, optional=False):
+    """Raise InputError unless a value is one of some names; with ``optional`` it may be None."""
+    if (value is None and optional) or (isinstance(value, str) and value in known):
+        return
+    known = tuple(known)
+    some, last = (known, None) if optional else (known[:-1], known[-1])
+    raise InputError(argument, brief(value), f"{', '.join(map(repr, some))} or {last!r}", did_you_mean(value, known))
+
+
+def check_flag(argument, value):
+    """True or False, Python's or NumPy's, as Python's; else InputError."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputError(argument, brief(value), "True or False")
+    return bool(value)
 
 
 def as_float(value):

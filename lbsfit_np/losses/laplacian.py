@@ -5,7 +5,7 @@ from scipy import sparse
 
 from ..errors import InputError, as_array, check_real, check_unmasked
 from ..triangles import binary_extent, face_areas
-from .checks import check_set
+from .checks import check_flag, check_set
 
 __all__ = ["cotangent_matrix", "laplacian_offsets", "laplacian_posed"]
 
@@ -101,7 +101,7 @@ def _faces(faces, m):
 
 
 def _norm(argument, Y, K, squared):
-    Y = check_set(argument, Y)
+    Y, squared = check_set(argument, Y), check_flag("squared", squared)
     if getattr(K, "shape", None) != (len(Y), len(Y)):
         got = type(K).__name__ if not hasattr(K, "shape") else f"shape {K.shape}"
         raise InputError("K", got, f"shape ({len(Y)}, {len(Y)}), one row for each of the {len(Y)} vertices in {argument}")

@@ -6,7 +6,16 @@ import numpy as np
 
 from ..errors import InputError, did_you_mean
 from .chamfer import neighbors, one_sided_terms
-from .checks import check_index, check_labels, check_number, check_same_length, check_set, check_weights
+from .checks import (
+    check_choice,
+    check_flag,
+    check_index,
+    check_labels,
+    check_number,
+    check_same_length,
+    check_set,
+    check_weights,
+)
 from .laplacian import laplacian_offsets, laplacian_posed
 from .structured import neighbors_in_parts
 
@@ -51,11 +60,8 @@ class LossWeights:
             if value > _LARGEST:  # sums of weighted terms, and their gradients, would not be finite
                 raise InputError(name, f"{value:.3g}", f"at most {_LARGEST:.0e}")
             object.__setattr__(self, name, value)
-        if not isinstance(self.squared, (bool, np.bool_)):
-            raise InputError("squared", repr(self.squared), "True or False")
-        object.__setattr__(self, "squared", bool(self.squared))
-        if self.laplacian not in ("posed", "offsets"):
-            raise InputError("laplacian", repr(self.laplacian), "'posed' or 'offsets'")
+        object.__setattr__(self, "squared", check_flag("squared", self.squared))
+        check_choice("laplacian", self.laplacian, ("posed", "offsets"))
 
     def replace(self, **changes):
         """Return the same weights with some changed; InputError for a name that is not one of them."""
