@@ -9,7 +9,7 @@ from small_rigs import make_tube_data, with_slivers
 
 import lbsfit_np as lbs
 from lbsfit_np.bench.subjects import subject as bench_subject
-from lbsfit_np.fitting.template import TemplateSettings, shared_template
+from lbsfit_np.fitting.template import SHIFTS, TemplateSettings, shared_template
 from lbsfit_np.optimize.gauss_newton import GaussNewton
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.precision import told_angles
@@ -62,7 +62,7 @@ class Case:
 
     def __init__(self, rig, template, n=8, poses="uniform", **scans):
         self.rig, (self.U, self.J), self.half = rig, template, rig.size / 2
-        self.model = Model(rig, shifts=TemplateSettings().shifts)
+        self.model = Model(rig, shifts=SHIFTS)
         self.scans = lbs.synthesize(rig, n, templates=[template], random_state=1, poses=poses, **CLEAN | scans)
         self.problems = [Problem((s.points - s.points.mean(axis=0)) / self.half) for s in self.scans]
         rng = np.random.default_rng(0)
@@ -101,14 +101,14 @@ def tube_case(tube_rig):
 @pytest.mark.slow
 def test_joints_that_hardly_bend_stay_where_the_skin_says():
     """No scan shows then where they are, and noise would shift them."""
-    rig, away = lbs.load_rig("hand-coarse"), {TemplateSettings().shifts: [], 0.3: []}
+    rig, away = lbs.load_rig("hand-coarse"), {SHIFTS: [], 0.3: []}
     poses = 0.05 * lbs.natural_poses(rig, 6, random_state=2)
     for person in (5, 6, 7):
         subject = rig.subject(person, amount=1.5)
         case = Case(rig, (subject.vertices, subject.joints), 6, poses, noise=0.004)
         for shifts, gaps in away.items():
             gaps.append(case.gap(case.found(Model(rig, shifts=shifts))[1], case.J))
-    assert np.mean(away[TemplateSettings().shifts]) < 0.85 * np.mean(away[0.3])
+    assert np.mean(away[SHIFTS]) < 0.85 * np.mean(away[0.3])
 
 
 @pytest.mark.parametrize("labelled", [False, True])
@@ -189,7 +189,7 @@ def test_a_fat_palm_leaves_the_knuckles_where_they_are():
     case = Case(rig, (rig.vertices + fat, rig.joints), 8, noise=0.004)
     knuckles = np.flatnonzero((rig.parents == palm) & rig.moving)
     _, J, _ = case.found(proba=case.proba)
-    without = Model(rig, shifts=TemplateSettings().shifts)
+    without = Model(rig, shifts=SHIFTS)
     without.basis = without.basis.copy()
     without.basis[:, without.n_proportions :] = 0.0
     _, other, _ = case.found(without, proba=case.proba)

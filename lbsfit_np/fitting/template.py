@@ -22,8 +22,10 @@ from ..optimize.surface import vertex_normals
 from ..optimize.visibility import WHOLE, Coverage
 from .labels import refined_labels
 
-__all__ = ["TemplateSettings", "likely_right", "shared_template"]
+__all__ = ["SHIFTS", "TemplateSettings", "likely_right", "shared_template"]
 
+# Length of a unit shift of a joint; with ``TemplateSettings.ridge`` it says how far joints may leave the regressor's place.
+SHIFTS = 0.1
 # Share of the surface below which a vertex has none.
 _NO_AREA = 1e-12
 
@@ -34,8 +36,6 @@ class TemplateSettings:
 
     Attributes
     ----------
-    shifts : float
-        Length of a unit shift of a joint; with ``ridge`` it says how far joints may leave the regressor's place.
     ridge : float
         On the coefficients of proportions and shifts.
     sigmas : tuple of float
@@ -54,7 +54,6 @@ class TemplateSettings:
         What scans show.
     """
 
-    shifts: float = 0.1
     ridge: float = 1e-5
     sigmas: tuple = (0.05, 0.025)
     labelled_steps: int = 4
@@ -86,7 +85,7 @@ def shared_template(model, problems, states, losses, *, proba=None, dense=None, 
     Parameters
     ----------
     model : Model
-        Of the rig, with shifts.
+        Of the rig, with shifts of ``SHIFTS`` unless joints are fixed.
     problems : list of Problem
         In one unit.
     states : list of State

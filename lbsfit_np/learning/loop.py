@@ -19,7 +19,7 @@ from functools import partial
 
 import numpy as np
 
-from ..fitting.template import TemplateSettings
+from ..fitting.template import SHIFTS
 from ..optimize.model import Model
 from ..optimize.state import free_angles
 from ..processes import kept_processes
@@ -166,7 +166,7 @@ class Loop:
         self.progress = progress or (lambda stage, share, figures=None: None)
         self.on_round, self.on_kept = on_round or (lambda k, segmenter: None), on_kept or (lambda learned: None)
         self.model = Model(rig, joints)
-        self.shifting = Model(rig, joints, shifts=TemplateSettings().shifts if joints == "follow" else 0.0)
+        self.shifting = Model(rig, joints, shifts=SHIFTS if joints == "follow" else 0.0)
         self.library, self.facing = library, facing
         self.coefficients, self.pose_prior, self.history = {}, None, []
         self._first_kept = checkpoint.narrowed((variant.labels, variant.library))  # which is all that these hang on of a variant
