@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
+from lbsfit_np.fitting import refit, search, template
 from lbsfit_np.fitting.labels import LEANS, labels_from_mesh, refined_labels, said_of
+from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.fitting.template import SHIFTS, TemplateSettings, shared_template
 from lbsfit_np.losses import structured_chamfer
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.skinning import skin
 
 # Two parts of one vertex each, two units apart, and a third part without vertices.
@@ -167,3 +172,22 @@ def test_a_scan_that_leans_is_turned_back_before_the_segmenter_sees_it(lean, bac
     leaning = skin(tube_rig, theta).vertices - tube_rig.joints[0]
     said_of(Segmenter(), tube_rig, leaning / Segmenter.half, theta, size)
     np.testing.assert_allclose(seen[0], (upright if back else leaning) / size, atol=1e-12)
+
+
+def test_labels_are_doubted_alike_in_all_stages(coarse_hand, monkeypatch):
+    """In the search, in starts from labels and where a template is found."""
+    model, doubts = Model(coarse_hand, shifts=SHIFTS), []
+
+    def refined(X, proba, *more, doubt=0.0):
+        doubts.append(doubt)
+        return proba.argmax(axis=1)
+
+    for module in (search, refit, template):
+        monkeypatch.setattr(module, "refined_labels", refined)
+    problem, proba = Problem(model.rig.vertices), np.eye(len(coarse_hand.parts))[model.labels]
+    settings = FitSettings(full_iterations=1)
+    search.Search(model, problem, proba, False, settings).full(model.rest())
+    refit.Refit(model).from_parts(problem, proba)
+    few = TemplateSettings(sigmas=(0.05,), labelled_steps=0, steps=0, rounds=0)
+    shared_template(model, [problem], [model.rest()], np.ones(1), proba=[proba], settings=few)
+    assert doubts == [settings.doubt] * 4

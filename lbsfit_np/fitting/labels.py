@@ -5,10 +5,13 @@ import numpy as np
 from ..optimize.frame import root_turn
 from ..rotations import angle_between
 
-__all__ = ["LEANS", "labels_from_mesh", "one_hot", "parts_of", "refined_labels", "said_of"]
+__all__ = ["DOUBT", "LEANS", "labels_from_mesh", "one_hot", "parts_of", "refined_labels", "said_of"]
 
 # A root that a pose turns further than this leans as hardly any training scan does, radians.
 LEANS = 0.8
+
+# While labels are refined, points whose label is less probable than this take no part in the structured term.
+DOUBT = 0.8
 
 # A part that the segmenter excludes is not quite impossible: the fitted mesh may know better.
 _FLOOR = 1e-3

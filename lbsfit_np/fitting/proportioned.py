@@ -3,12 +3,15 @@
 from ..optimize.gauss_newton import GaussNewton
 from ..optimize.state import free_angles
 
-__all__ = ["Proportioned", "step_options"]
+__all__ = ["TANGENTIAL", "Proportioned", "step_options"]
+
+# Of steps that look near, on single scans and for templates: how much distances along the surface count beside those across it.
+TANGENTIAL = 0.02
 
 
 def step_options(settings):
     """How steps with proportions weigh, options of ``GaussNewton``."""
-    return {"ridge": settings.polish_ridge, "tangential": 0.02, "coverage": settings.coverage}
+    return {"ridge": settings.polish_ridge, "tangential": TANGENTIAL, "coverage": settings.coverage}
 
 
 class Proportioned:

@@ -22,13 +22,13 @@ from ..starts.parts import start_from_parts
 from ..starts.place import placed
 from .bends import Bends
 from .effort import Effort
-from .labels import parts_of, refined_labels
+from .labels import DOUBT, parts_of, refined_labels
+from .proportioned import TANGENTIAL
 
 __all__ = ["LimbSearch", "Refit", "Runner", "distinct", "plain_chamfer"]
 
 # σ of the refined labels that lead a start from part centroids, in half sizes.
 _SIGMAS = (0.15, 0.07)
-_DOUBT = 0.8
 # The first steps look at so many points and vertices from so far; the best few starts go on with more points and a shorter
 # reach, the very best with all points. Those that look far go by planes at vertices where the mesh is fine.
 _FEW, _FAR, _FAR_VERTICES, _FAR_STEPS = 400, 0.2, 300, 6
@@ -96,7 +96,7 @@ class Refit:
 
     def __init__(self, model, free=IN_UNIT, *, coverage=WHOLE, bends=False, other_limbs=True):
         self.model, self.free, self.coverage = model, free, coverage
-        near = {"reach": _NEAR, "tangential": 0.02, "coverage": coverage}
+        near = {"reach": _NEAR, "tangential": TANGENTIAL, "coverage": coverage}
         fine, looks_far = model.is_fine, {"reach": _FAR, "vertices": _FAR_VERTICES, "coverage": coverage}
         self._far = GaussNewton(model.coarse if fine else model, **looks_far, planes=fine)
         self._near = GaussNewton(model, vertices=_NEAR_VERTICES, tolerance=_NEAR_ENOUGH, **near)
@@ -276,7 +276,7 @@ class Refit:
         state = go(state, STRUCTURED, labels, 30)
         for sigma in () if labels_known else _SIGMAS:
             V = model.deformed(state).vertices
-            state = go(state, BOTH, refined_labels(X, proba, V, model.labels, sigma, doubt=_DOUBT), 30)
+            state = go(state, BOTH, refined_labels(X, proba, V, model.labels, sigma, doubt=DOUBT), 30)
         return state
 
     def _close(self, runners):

@@ -22,7 +22,7 @@ from ..threads import one_thread
 from .assemble import assemble
 from .checks import check_settings, check_suits
 from .drawn import drawn_by_itself
-from .labels import one_hot
+from .labels import DOUBT, one_hot
 from .last_stages import LastStages
 from .mirror_image import looked_at_in_the_mirror
 from .missing import MissingLimbs
@@ -82,7 +82,8 @@ class FitSettings:
     ridge : float
         Weight of ‖c‖² on the bones' proportions in the L-BFGS stages.
     doubt : float
-        Points whose label is less probable than this take no part in the structured term while labels are refined.
+        Points whose label is less probable than this take no part in the structured term while ``Search`` refines labels: in
+        the stages of a given start and in the full objective. Starts from labels and templates go by ``labels.DOUBT``.
     """
 
     weights: LossWeights = field(default_factory=lambda: PRESETS["default"])
@@ -101,7 +102,7 @@ class FitSettings:
     polish: int = 12
     polish_ridge: float = 3e-5
     ridge: float = 1e-3
-    doubt: float = 0.8
+    doubt: float = DOUBT
 
     def __post_init__(self):
         for name, value in check_settings(self).items():

@@ -20,7 +20,8 @@ from ..optimize.precision import told_angles
 from ..optimize.smoothness import smoothness_matrix
 from ..optimize.surface import vertex_normals
 from ..optimize.visibility import WHOLE, Coverage
-from .labels import refined_labels
+from .labels import DOUBT, refined_labels
+from .proportioned import TANGENTIAL
 
 __all__ = ["SHIFTS", "TemplateSettings", "likely_right", "shared_template"]
 
@@ -113,11 +114,11 @@ def shared_template(model, problems, states, losses, *, proba=None, dense=None, 
     keep = np.flatnonzero(likely_right(losses, settings.worst))
     dense = [(problems if dense is None else dense)[i] for i in keep]
     problems, states = [problems[i] for i in keep], [states[i] for i in keep]
-    steps = GaussNewton(model, reach=settings.reach, tangential=0.02, ridge=settings.ridge, coverage=settings.coverage)
+    steps = GaussNewton(model, reach=settings.reach, tangential=TANGENTIAL, ridge=settings.ridge, coverage=settings.coverage)
     if proba is not None:
         for sigma in settings.sigmas:
             labels = [
-                refined_labels(p.X, np.asarray(proba[i], float), model.deformed(s).vertices, model.labels, sigma, doubt=0.8)
+                refined_labels(p.X, np.asarray(proba[i], float), model.deformed(s).vertices, model.labels, sigma, doubt=DOUBT)
                 for i, p, s in zip(keep, problems, states)
             ]
             states, _ = steps.shared(problems, states, labels=labels, iterations=settings.labelled_steps)
