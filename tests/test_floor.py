@@ -361,9 +361,10 @@ def test_a_second_look_is_at_the_same_points(random_state, tube_rig, tube_result
     assert first == second and again[0] == again[1] and (again[0] == first) == (random_state == 5)
 
 
-def test_what_was_found_is_of_what_took_part(tube_rig, tube_scan):
-    with pytest.raises(TypeError, match="found is of a part"):
-        scan_fit(lbs.LBSFitter(tube_rig)).fit(tube_scan.points, found=object())
+@pytest.mark.parametrize("name, value", [("found", object()), ("once", True)])
+def test_what_was_found_and_how_is_of_what_took_part(tube_rig, tube_scan, name, value):
+    with pytest.raises(TypeError, match=f"{name} is of a part: give that, too"):
+        scan_fit(lbs.LBSFitter(tube_rig)).fit(tube_scan.points, **{name: value})
 
 
 def test_a_wall_that_cannot_take_part_does_not_take_the_fit_away(tube_rig, fitted):

@@ -175,8 +175,8 @@ class ScanFit:
             No term of the weights would compare the mesh with the scan.
         """
         started = time.perf_counter()
-        if found is not None and part is None:
-            raise TypeError("found is of a part: give that, too")
+        if part is None and (found is not None or once):
+            raise TypeError(f"{'once' if found is None else 'found'} is of a part: give that, too")
         if not isinstance(random_state, (int, np.integer)):
             random_state = integer_seed(random_state)  # a second look draws the same points
         with one_thread():  # threads on arrays this small cost more than they give

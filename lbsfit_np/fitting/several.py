@@ -37,7 +37,7 @@ def stands_along(rig, results, up=None):
         return None
     along = np.mean([root_turn(rig, r.pose) @ up_axis(rig) for r in results], axis=0)
     axis = axis_name(along)
-    return axis if along @ AXES[axis] > ALONG and axis != (up or rig.up or "+y") else None
+    return axis if along @ AXES[axis] > ALONG and axis != (up or rig.up) else None
 
 
 def said_unit(results, names=None):
