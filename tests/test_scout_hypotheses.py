@@ -106,6 +106,20 @@ def test_doubt_is_worth_a_second_look(make_scout, clean_scans, effort, p, looks,
     assert known[scout(clean_scans[0].points).problem] == looks[0] and known[scout.effort] == effort
 
 
+@pytest.mark.parametrize("partial", [False, True])
+@pytest.mark.parametrize("cropped", [False, True])
+def test_views_that_are_cropped_are_looked_at_again_in_less_doubt(tube_rig, partial, cropped, monkeypatch):
+    scout = _untrained(tube_rig)
+    scout.settings, looks = FitSettings(partial=partial, cropped=cropped), []
+    look = [Runner(None, scout.model.rest(), Frame(np.zeros(3), 1.0), 1.0)]
+    monkeypatch.setattr(Scout, "_look", lambda self, *scan: looks.append(self.effort) or look)
+    for p, least in ((0.79, 2), (0.8, 1), (0.94, 1), (0.95, 1)):
+        monkeypatch.setattr(Scout, "probability", lambda self, found, p=p: p)
+        looks.clear()
+        scout(np.zeros((9, 3)))
+        assert len(looks) == (2 if partial and cropped and p < 0.95 else least)
+
+
 @pytest.mark.parametrize("unit, kept", [(0.9, "thorough"), (1.2, "balanced")])
 def test_looks_are_compared_in_the_scans_unit(tube_rig, unit, kept, monkeypatch):
     """The second leaves 0.8 of the first's unexplained, in units of its own."""

@@ -39,8 +39,9 @@ ALIKE = 0.03
 _MORE_STARTS = 3
 # Without proportions, the right pose may leave this many times as much unexplained as a wrong one.
 _RIVAL = 2.0
-# A pose that is right with less than this probability is worth a second look.
-_SURE = 0.8
+# A pose that is right with less than this probability is worth a second look; of views of one side that are cropped, less speaks
+# against a wrong one.
+_SURE, _SURE_OF_LITTLE = 0.8, 0.95
 
 
 @dataclass(frozen=True)
@@ -171,7 +172,8 @@ class Scout:
 
     def is_sure(self, found):
         """Whether what was found is likely to be right."""
-        return self.probability(found) >= _SURE
+        shows = self.settings.coverage
+        return self.probability(found) >= (_SURE_OF_LITTLE if shows.one_sided and shows.cropped else _SURE)
 
     def probability(self, found):
         """How likely the pose is right, by what is known of it before the full objective."""
