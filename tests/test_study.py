@@ -94,7 +94,8 @@ def test_reports_of_something_else_are_refused(coarse_hand, quick):
         study({"h": replace(coarse_hand, poses=dict(list(coarse_hand.poses.items())[:20]))}, before=report)
     still = np.arange(len(coarse_hand.parents)) == 1
     cards = ({"up": "+x"}, {"forward": "-z"}, {"metres_per_unit": 0.5}, {"locked": still})
-    for card, what in zip(cards, ("up", "forward", "metres per unit", "joints that are still"), strict=True):
+    facts = ("up", "forward", "metres per unit", "rig and other joints that are still and other poses")
+    for card, what in zip(cards, facts, strict=True):
         with pytest.raises(InputError, match=f"results of 'h' with .*{what} than this run's"):
             study({"h": replace(coarse_hand, **card)}, before=report)
     quick.clear()
